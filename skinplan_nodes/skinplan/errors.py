@@ -1,0 +1,174 @@
+"""The error tree of the library.
+
+Every error says in one sentence what was asked, what was found and what would be accepted. The
+nodes map the classes to the codes of ``skinplan_msgs/Status`` in one table; the command line maps
+`InputError` to exit code 2 and the rest to 1.
+"""
+
+
+class SkinplanError(Exception):
+    """Base of everything that the library raises on purpose."""
+
+
+class InputError(SkinplanError):
+    """What was given can't be used: the caller has to change it."""
+
+
+class PartNotFoundError(InputError):
+    """No sample, part file or mesh of that name."""
+
+
+class PartInvalidError(InputError):
+    """A part file with an unknown key, a missing value or a value out of range."""
+
+
+class CellInvalidError(InputError):
+    """A cell file with an unknown key, a missing value or a value out of range."""
+
+
+class StrategyUnknownError(InputError):
+    """A strategy name that does not exist; the message lists those that do."""
+
+
+class MeshError(InputError):
+    """Base of everything that is wrong with a mesh."""
+
+
+class MeshNotFoundError(MeshError):
+    """The mesh file does not exist."""
+
+
+class MeshUnreadableError(MeshError):
+    """The file exists, but is no mesh of a known format."""
+
+
+class MeshEmptyError(MeshError):
+    """The mesh has no vertices or no faces."""
+
+
+class MeshNotFiniteError(MeshError):
+    """The mesh has vertices that are NaN or infinite."""
+
+
+class MeshUnitError(MeshError):
+    """The size of the mesh in the stated unit is no size of an aircraft skin."""
+
+
+class MeshHashError(MeshError):
+    """The mesh is another one than the caller means."""
+
+
+class MeshRefusedError(MeshError):
+    """The mesh is readable but can't be planned on."""
+
+
+class ScanPathInvalidError(InputError):
+    """A scan path that is empty, not finite or not in the frame asked for."""
+
+
+class RobotModelError(InputError):
+    """A robot description that can't be used."""
+
+
+class JointsInvalidError(InputError):
+    """Joint names or positions that do not fit the arm."""
+
+
+class ImageInvalidError(InputError):
+    """An image or a camera model that can't be used."""
+
+
+class JobInvalidError(InputError):
+    """A job with a field that can't be used."""
+
+
+class JobUnknownError(InputError):
+    """No job of that id."""
+
+
+class JobConflictError(InputError):
+    """The job id exists with other content."""
+
+
+class JobCommandError(InputError):
+    """The command is not allowed in the job's state."""
+
+
+class BagNotFoundError(InputError):
+    """No bag at that place."""
+
+
+class BagInvalidError(InputError):
+    """A file that is no readable bag."""
+
+
+class BagNotWritableError(InputError):
+    """A bag can't be created or written there."""
+
+
+class LocalizationError(SkinplanError):
+    """Base of everything that keeps the part from being located."""
+
+
+class NoMarkerError(LocalizationError):
+    """No marker of the fixture in the image."""
+
+
+class WrongMarkerError(LocalizationError):
+    """There are markers, but none of the fixture's."""
+
+
+class AmbiguousPoseError(LocalizationError):
+    """Two poses explain the image about equally well."""
+
+
+class NoCandidatesError(SkinplanError):
+    """No place where the base could stand."""
+
+
+class NothingReachedError(SkinplanError):
+    """The arm reaches none of the points."""
+
+
+class StartStateError(InputError):
+    """The arm's start state is out of limits or in collision."""
+
+
+class NoTrajectoryError(SkinplanError):
+    """No point of the request can be scanned."""
+
+
+class NoCloudError(SkinplanError):
+    """There are no scan points to work on."""
+
+
+class CloudInvalidError(InputError):
+    """A cloud file that can't be read or written."""
+
+
+class AlignmentError(SkinplanError):
+    """The cloud can't be aligned with the part."""
+
+
+class UnknownPartError(SkinplanError):
+    """The part on the fixture is none of the candidates."""
+
+
+class CancelledError(SkinplanError):
+    """The caller asked to stop."""
+
+
+class StageError(SkinplanError):
+    """A planning stage failed.
+
+    Attributes:
+        stage: Name of the stage.
+        index: Its number in the pipeline, from 0.
+        cause: The error that the stage raised.
+    """
+
+    def __init__(self, stage: str, index: int, cause: SkinplanError) -> None:
+        super().__init__(f"stage {index} ({stage}): {cause}")
+        self.stage = stage
+        self.index = index
+        self.cause = cause
