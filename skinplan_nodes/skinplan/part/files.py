@@ -1,0 +1,228 @@
+"""The part file: what is known about a part, as YAML.
+
+Units are in the keys; unknown keys are refused.
+
+::
+
+    id: scene4                       # required; letters, digits, _ . -
+    mesh:                            # required
+      file: scene4.stl               # required; STL, PLY or OBJ; relative to the part file, or
+          absolute
+      unit: m                        # required; m, cm, mm or inch
+      sha256: 0123...                # hash of the mesh file's bytes; checked when given
+    fixture:                         # left out: a row of markers below the part
+        (skinplan.part.defaults)
+      dictionary: DICT_5X5_100       # required; ArUco dictionary as OpenCV names it
+      pose_in_workpiece:             # T_workpiece_fixture; left out: fixture = workpiece
+        translation_m: [0, -0.5, 0]
+        rotation_xyzw: [0, 0, 0, 1]  # left out: no rotation
+      markers:                       # required, at least one
+        - id: 0                      # required, unique
+          size_m: 0.10               # required; side of the black square
+          pose_in_fixture:           # required; T_fixture_marker (x right, y up, z out of the
+              print)
+            translation_m: [0, 0, 0]
+    placement:                       # T_map_workpiece; left out: upright at the origin of the shop
+      translation_m: [0, 0, 1.05]
+      rotation_xyzw: [0.707, 0, 0, 0.707]
+    scan:                            # every key of skinplan.part.model.ScanSettings; what is left
+        out has its default
+      standoff_m: 0.3
+"""
+
+import re
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from skinplan.errors import MeshHashError, PartInvalidError, PartNotFoundError
+from skinplan.mesh.load import UNITS_M, file_sha256, load_mesh
+from skinplan.part.defaults import default_fixture, default_placement
+from skinplan.part.fields import Fields, pose_fields
+from skinplan.part.model import Fixture, Marker, Part, ScanSettings
+from skinplan.part.settings import read_settings, settings_fields
+from skinplan.transforms import Array, transform
+
+MARKER_COUNTS = {
+    **{
+        f"DICT_{size}X{size}_{count}": count
+        for size in (4, 5, 6, 7)
+        for count in (50, 100, 250, 1000)
+    },
+    "DICT_ARUCO_ORIGINAL": 1024,
+    "DICT_APRILTAG_16h5": 30,
+    "DICT_APRILTAG_25h9": 35,
+    "DICT_APRILTAG_36h10": 2320,
+    "DICT_APRILTAG_36h11": 587,
+    "DICT_ARUCO_MIP_36h12": 250,
+}
+_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_LARGEST_FILE_BYTES = 1_000_000
+
+
+def load_part(path: Path | str) -> Part:
+    """Reads a part file.
+
+    Args:
+        path: The YAML file.
+
+    Returns:
+        The part; its mesh exists and has the stated hash, but is not loaded unless fixture or
+        placement need its box.
+
+    Raises:
+        PartNotFoundError: No such file.
+        PartInvalidError: A key is unknown or missing, or a value is out of range.
+        MeshError: The mesh is missing, can't be read, or has another hash.
+    """
+    file = Path(path)
+    fields = Fields(_read_yaml(file), "", file.name, ("id", "mesh", "fixture", "placement", "scan"))
+    part_id = fields.text("id")
+    if not _ID.fullmatch(part_id):
+        raise fields.error("id", repr(part_id), "1 to 64 letters, digits, '_', '.' or '-'")
+    mesh_path, unit, digest = _read_mesh(fields, file.parent)
+    bounds = None
+    if not (fields.has("fixture") and fields.has("placement")):
+        bounds = load_mesh(mesh_path, unit).bounds
+    return Part(
+        id=part_id,
+        mesh_path=mesh_path,
+        unit=unit,
+        mesh_sha256=digest,
+        fixture=_read_fixture(fields) if fields.has("fixture") else default_fixture(_box(bounds)),
+        T_map_workpiece=fields.pose("placement")
+        if fields.has("placement")
+        else default_placement(_box(bounds)),
+        scan=read_settings(fields.values["scan"], "scan", file.name)
+        if fields.has("scan")
+        else ScanSettings(),
+        source=file.resolve(),
+    )
+
+
+def save_part(part: Part, path: Path | str) -> Path:
+    """Writes a part file; reading it gives the same part.
+
+    Args:
+        part: What to write.
+        path: The YAML file; its folder must exist. A mesh in the same folder is named relative to
+            it.
+
+    Returns:
+        The absolute path.
+
+    Raises:
+        PartInvalidError: The file can't be written.
+    """
+    file = Path(path).resolve()
+    mesh = part.mesh_path.resolve()
+    values = {
+        "id": part.id,
+        "mesh": {
+            "file": mesh.name if mesh.parent == file.parent else str(mesh),
+            "unit": part.unit,
+            "sha256": part.mesh_sha256,
+        },
+        "fixture": {
+            "dictionary": part.fixture.dictionary,
+            "pose_in_workpiece": pose_fields(part.fixture.T_workpiece_fixture),
+            "markers": [
+                {
+                    "id": marker.id,
+                    "size_m": marker.size_m,
+                    "pose_in_fixture": pose_fields(marker.T_fixture_marker),
+                }
+                for marker in part.fixture.markers
+            ],
+        },
+        "placement": pose_fields(part.T_map_workpiece),
+        "scan": settings_fields(part.scan),
+    }
+    try:
+        file.write_text(
+            yaml.safe_dump(values, sort_keys=False, default_flow_style=None), encoding="utf-8"
+        )
+    except OSError as error:
+        raise PartInvalidError(
+            f"the part file {file} can't be written: {error.strerror}"
+        ) from error
+    return file
+
+
+def _read_yaml(file: Path) -> object:
+    if not file.is_file():
+        raise PartNotFoundError(
+            f"no part file at {file}; the path of an existing part.yaml is accepted"
+        )
+    try:
+        if file.stat().st_size > _LARGEST_FILE_BYTES:
+            raise PartInvalidError(
+                f"{file.name}: a part file of {file.stat().st_size} bytes was found; up to "
+                f"{_LARGEST_FILE_BYTES} "
+                "are accepted (is it a mesh?)"
+            )
+        return yaml.safe_load(file.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
+        reason = " ".join(str(error).split())
+        raise PartInvalidError(
+            f"{file.name}: YAML text is accepted, but it can't be read: {reason}"
+        ) from error
+
+
+def _read_mesh(fields: Fields, folder: Path) -> tuple[Path, str, str]:
+    values: Any = fields.values.get("mesh")
+    mesh = Fields(values, "mesh", fields.source, ("file", "unit", "sha256"))
+    unit = mesh.text("unit", f"one of {', '.join(UNITS_M)}")
+    if unit not in UNITS_M:
+        raise mesh.error("unit", repr(unit), f"one of {', '.join(UNITS_M)}")
+    path = (folder / mesh.text("file", "the path of a mesh file")).resolve()
+    digest = file_sha256(path)
+    if mesh.has("sha256"):
+        stated = mesh.text("sha256").lower()
+        if stated != digest:
+            raise MeshHashError(
+                f"{fields.source}: the mesh {path.name} should have the SHA-256 "
+                f"{stated[:12]}..., found {digest[:12]}...; "
+                "the mesh that the part file was written for is accepted, or a part file with "
+                "the new hash"
+            )
+    return path, unit, digest
+
+
+def _read_fixture(fields: Fields) -> Fixture:
+    fixture = Fields(
+        fields.values["fixture"],
+        "fixture",
+        fields.source,
+        ("dictionary", "pose_in_workpiece", "markers"),
+    )
+    dictionary = fixture.text("dictionary", "the name of an ArUco dictionary")
+    if dictionary not in MARKER_COUNTS:
+        raise fixture.error("dictionary", repr(dictionary), f"one of {', '.join(MARKER_COUNTS)}")
+    pose = fixture.pose("pose_in_workpiece") if fixture.has("pose_in_workpiece") else transform()
+    entries = fixture.values.get("markers")
+    if not isinstance(entries, list) or not entries:
+        raise fixture.error("markers", "none", "a list of at least one marker")
+    markers = tuple(
+        _read_marker(entry, f"fixture.markers[{number}]", fields.source, MARKER_COUNTS[dictionary])
+        for number, entry in enumerate(entries)
+    )
+    ids = [marker.id for marker in markers]
+    if len(set(ids)) < len(ids):
+        raise fixture.error("markers", f"the ids {ids}", "every id once")
+    return Fixture(dictionary, pose, markers)
+
+
+def _read_marker(entry: object, place: str, source: str, count: int) -> Marker:
+    marker = Fields(entry, place, source, ("id", "size_m", "pose_in_fixture"))
+    return Marker(
+        id=marker.integer("id", 0, count - 1),
+        size_m=marker.number("size_m", 0.005, 2.0, "the side of the black square, 0.005 to 2 [m]"),
+        T_fixture_marker=marker.pose("pose_in_fixture"),
+    )
+
+
+def _box(bounds: Array | None) -> Array:
+    assert bounds is not None
+    return bounds

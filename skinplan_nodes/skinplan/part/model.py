@@ -1,0 +1,114 @@
+"""What is known about a part before it is measured: mesh, fixture, scan settings, place."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from skinplan.transforms import Array
+
+
+@dataclass(frozen=True)
+class Marker:
+    """An ArUco marker on the fixture.
+
+    Attributes:
+        id: Number in the fixture's dictionary.
+        size_m: Side of the black square [m].
+        T_fixture_marker: Marker frame in the fixture, shape (4, 4) [m]; marker x to the right, y
+            up, z out of the print.
+    """
+
+    id: int
+    size_m: float
+    T_fixture_marker: Array
+
+
+@dataclass(frozen=True)
+class Fixture:
+    """What holds the part and carries the markers (M1.1, frames F and QR).
+
+    Attributes:
+        dictionary: Name of the ArUco dictionary, as OpenCV writes it (``DICT_5X5_100``).
+        T_workpiece_fixture: Fixture frame in the workpiece, shape (4, 4) [m].
+        markers: At least one marker, ids unique.
+    """
+
+    dictionary: str
+    T_workpiece_fixture: Array
+    markers: tuple[Marker, ...]
+
+    def T_workpiece_marker(self, marker_id: int) -> Array:
+        """Returns the marker's frame in the workpiece, shape (4, 4) [m]; KeyError without it."""
+        for marker in self.markers:
+            if marker.id == marker_id:
+                return self.T_workpiece_fixture @ marker.T_fixture_marker
+        raise KeyError(marker_id)
+
+
+@dataclass(frozen=True)
+class ScanSettings:
+    """How the part is scanned (M2.1, M2.2; defaults are the values of scene 4).
+
+    Attributes:
+        strategy: Name of the scan path strategy.
+        station_strategy: Name of the station strategy.
+        order_strategy: Name of the strategy for the order of visit.
+        sensitivity: Exponent k of eq (4) [1], >= 0.
+        overlap_ratio: h of eq (5) [1], in [0, 1).
+        field_radius_m: r_f, radius of the field of view [m].
+        standoff_m: d_best, working distance [m].
+        range_min_m: d_min of the scanner [m].
+        range_max_m: d_max of the scanner [m].
+        incidence_max_rad: Largest angle between the view axis and the inward surface normal at
+            which a facet counts as seen.
+        row_direction: Unit vector of the rows in the workpiece frame; None = found (the one with
+            the least path).
+        tilt_max_rad: Largest tilt of a view direction for reach or clearance.
+        clearance_m: Least distance between the scanner's origin and the part [m].
+        tcp_speed_m_s: Speed limit of the scanner while scanning [m/s].
+    """
+
+    strategy: str = "published"
+    station_strategy: str = "rectangles"
+    order_strategy: str = "published"
+    sensitivity: float = 2.0
+    overlap_ratio: float = 0.6
+    field_radius_m: float = 0.2
+    standoff_m: float = 0.3
+    range_min_m: float = 0.2
+    range_max_m: float = 0.4
+    incidence_max_rad: float = 1.0471975511965976
+    row_direction: tuple[float, float, float] | None = None
+    tilt_max_rad: float = 0.2617993877991494
+    clearance_m: float = 0.15
+    tcp_speed_m_s: float = 0.2
+
+    @property
+    def row_interval_m(self) -> float:
+        """d_interval of eq (5): (1 - h) r_f [m]."""
+        return (1.0 - self.overlap_ratio) * self.field_radius_m
+
+
+@dataclass(frozen=True)
+class Part:
+    """A part to be measured.
+
+    Attributes:
+        id: Name of the part, [A-Za-z0-9_.-].
+        mesh_path: Mesh file.
+        unit: Unit of the mesh file: ``m``, ``mm``, ``cm`` or ``inch``.
+        mesh_sha256: Hash of the mesh file's bytes, lower-case hex.
+        fixture: Fixture and markers.
+        T_map_workpiece: Nominal place in the shop, shape (4, 4) [m]: where it should stand, not
+            where it stands.
+        scan: Scan settings.
+        source: The part file that it came from; None when it was made from a bare mesh.
+    """
+
+    id: str
+    mesh_path: Path
+    unit: str
+    mesh_sha256: str
+    fixture: Fixture
+    T_map_workpiece: Array
+    scan: ScanSettings = field(default_factory=ScanSettings)
+    source: Path | None = None

@@ -1,0 +1,126 @@
+import dataclasses
+
+import numpy as np
+import pytest
+import yaml
+
+from skinplan.errors import (
+    MeshHashError,
+    MeshNotFoundError,
+    PartInvalidError,
+    PartNotFoundError,
+)
+from skinplan.part.files import load_part, save_part
+from skinplan.part.model import ScanSettings
+from skinplan.part.samples import write_sample
+from skinplan.part.settings import check_settings
+
+
+@pytest.fixture
+def part(tmp_path):
+    return write_sample("scene2", tmp_path, triangles=2000)
+
+
+def edited(part, edit):
+    values = yaml.safe_load(part.source.read_text())
+    edit(values)
+    part.source.write_text(yaml.safe_dump(values))
+    return part.source
+
+
+def test_what_is_written_is_read_again(part, tmp_path):
+    scan = dataclasses.replace(part.scan, standoff_m=0.31, row_direction=(0.6, 0.8, 0.0))
+    changed = dataclasses.replace(part, id="other-1", scan=scan)
+    again = load_part(save_part(changed, tmp_path / "other.yaml"))
+    assert (again.id, again.scan, again.mesh_path, again.mesh_sha256) == (
+        "other-1", scan, part.mesh_path, part.mesh_sha256,
+    )  # fmt: skip
+    np.testing.assert_allclose(again.T_map_workpiece, part.T_map_workpiece, atol=1e-11)
+    np.testing.assert_allclose(
+        again.fixture.T_workpiece_fixture, part.fixture.T_workpiece_fixture, atol=1e-11
+    )
+    assert [marker.id for marker in again.fixture.markers] == [0, 1]
+    assert again.fixture.T_workpiece_marker(1)[1, 3] == pytest.approx(-0.4)
+
+
+def test_writing_what_was_read_gives_the_same_bytes(part, tmp_path):
+    assert save_part(part, tmp_path / "again.yaml").read_bytes() == part.source.read_bytes()
+
+
+def test_fixture_placement_and_scan_may_be_left_out(part):
+    def edit(values):
+        for key in ("fixture", "placement", "scan"):
+            del values[key]
+
+    again = load_part(edited(part, edit))
+    assert again.scan == ScanSettings()
+    np.testing.assert_allclose(again.T_map_workpiece, part.T_map_workpiece, atol=1e-11)
+    assert len(again.fixture.markers) == len(part.fixture.markers)
+
+
+@pytest.mark.parametrize(
+    ("edit", "words"),
+    [
+        (lambda v: v["scan"].update(standof_m=0.3), ["scan.standof_m", "did you mean standoff_m"]),
+        (lambda v: v.update(colour="red"), ["unknown key colour", "placement"]),
+        (
+            lambda v: v["fixture"]["markers"][1].pop("size_m"),
+            ["fixture.markers[1].size_m", "nothing"],
+        ),
+        (lambda v: v["scan"].update(standoff_m=-0.3), ["scan.standoff_m", "-0.3", "0.01"]),
+        (lambda v: v["scan"].update(standoff_m=0.9), ["scan.standoff_m", "0.9", "0.2 to 0.4"]),
+        (lambda v: v["scan"].update(overlap_ratio="much"), ["scan.overlap_ratio", "'much'"]),
+        (lambda v: v["scan"].update(sensitivity=float("nan")), ["scan.sensitivity", "nan"]),
+        (lambda v: v["scan"].update(row_direction=[0, 0, 0]), ["scan.row_direction"]),
+        (lambda v: v["scan"].update(range_min_m=0.5), ["scan.range_min_m"]),
+        (lambda v: v["scan"].update(clearance_m=0.3), ["scan.clearance_m", "standoff_m"]),
+        (lambda v: v.update(scan=[1, 2]), ["scan", "[1, 2]"]),
+        (lambda v: v.update(id="a b"), ["id", "'a b'"]),
+        (lambda v: v["mesh"].update(unit="yard"), ["mesh.unit", "yard", "inch"]),
+        (lambda v: v["fixture"].update(dictionary="DICT_9X9_3"), ["DICT_9X9_3", "DICT_5X5_100"]),
+        (lambda v: v["fixture"].update(markers=[]), ["fixture.markers", "at least one"]),
+        (lambda v: v["fixture"]["markers"][1].update(id=0), ["[0, 0]", "every id once"]),
+        (lambda v: v["fixture"]["markers"][0].update(id=100), ["markers[0].id", "100"]),
+        (lambda v: v["placement"].update(rotation_xyzw=[0, 0, 0, 2]), ["placement.rotation_xyzw"]),
+        (lambda v: v["placement"].update(translation_m=[0, 0]), ["placement.translation_m"]),
+        (lambda v: v.pop("mesh"), ["mesh"]),
+    ],
+)
+def test_a_mistake_is_named_with_its_place(part, edit, words):
+    with pytest.raises(PartInvalidError) as caught:
+        load_part(edited(part, edit))
+    for word in words:
+        assert word in str(caught.value)
+
+
+def test_the_mesh_must_be_the_stated_one(part):
+    part.mesh_path.write_bytes(part.mesh_path.read_bytes()[:-1] + b"\1")
+    with pytest.raises(MeshHashError, match=part.mesh_sha256[:12]):
+        load_part(part.source)
+    part.mesh_path.unlink()
+    with pytest.raises(MeshNotFoundError):
+        load_part(part.source)
+
+
+@pytest.mark.parametrize("text", ["id: [", "\tid: 3", "just words", "", "- 1\n- 2", "\x00"])
+def test_text_that_is_no_part_file(tmp_path, text):
+    (tmp_path / "part.yaml").write_text(text)
+    with pytest.raises(PartInvalidError, match=r"part\.yaml"):
+        load_part(tmp_path / "part.yaml")
+
+
+def test_a_file_that_is_missing_or_no_text(tmp_path):
+    with pytest.raises(PartNotFoundError, match=r"part\.yaml"):
+        load_part(tmp_path / "part.yaml")
+    with pytest.raises(PartNotFoundError):
+        load_part(tmp_path)
+    (tmp_path / "part.yaml").write_bytes(b"\xff\xfe\xff" * 10)
+    with pytest.raises(PartInvalidError):
+        load_part(tmp_path / "part.yaml")
+
+
+def test_settings_are_checked_without_a_file_too():
+    settings = ScanSettings(row_direction=(3.0, 0.0, 4.0))
+    assert check_settings(settings).row_direction == pytest.approx((0.6, 0.0, 0.8))
+    with pytest.raises(PartInvalidError, match="tilt_max_rad"):
+        check_settings(dataclasses.replace(settings, tilt_max_rad=-1.0))
