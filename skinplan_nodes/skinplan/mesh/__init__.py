@@ -1,0 +1,1 @@
+"""Meshes: loading, checking and repairing, smoothing, curvature, complex regions."""
