@@ -1,0 +1,1 @@
+"""Scan paths: row cutting, sampling of features, spacing law, offset."""

@@ -1,0 +1,112 @@
+"""The frame in which a part is cut into rows."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import ConvexHull, QhullError
+
+from skinplan.errors import MeshRefusedError, PartInvalidError
+from skinplan.mesh.model import SurfaceMesh
+from skinplan.transforms import Array
+
+# A face whose normal is farther than this from the base normal (cosine) can't be looked at from the
+# scanner's side.
+LEAST_FACING = 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class RowFrame:
+    """Directions of row cutting, orthonormal, in the workpiece frame.
+
+    Attributes:
+        along: Direction of the rows, shape (3,).
+        across: Normal of the cutting planes, shape (3,).
+        base: Mean outward normal of the part, shape (3,).
+    """
+
+    along: Array
+    across: Array
+    base: Array
+
+
+def base_normal(mesh: SurfaceMesh, faces: NDArray[np.bool_] | None = None) -> Array:
+    """Returns the area-weighted mean outward normal of (some) faces, shape (3,).
+
+    Args:
+        mesh: The mesh.
+        faces: Which faces, shape (f,); None = all.
+
+    Raises:
+        MeshRefusedError: The normals cancel out: the surface has no side that faces the scanner.
+    """
+    weighted = mesh.face_normals * mesh.face_areas[:, None]
+    mean = (weighted if faces is None else weighted[faces]).sum(axis=0)
+    area = float(mesh.face_areas.sum() if faces is None else mesh.face_areas[faces].sum())
+    if np.linalg.norm(mean) < 0.05 * area:
+        raise MeshRefusedError(
+            "the surface looks to all sides alike (its mean normal is zero); a skin with one "
+            "side to scan is accepted"
+        )
+    return mean / np.linalg.norm(mean)
+
+
+def given_frame(base: Array, direction: tuple[float, float, float]) -> RowFrame:
+    """Makes the frame of a given row direction, projected to the part's mean plane.
+
+    Raises:
+        PartInvalidError: The direction is perpendicular to the part.
+    """
+    wanted = np.asarray(direction, dtype=float)
+    flat = wanted - (wanted @ base) * base
+    length = float(np.linalg.norm(flat))
+    if not np.isfinite(length) or length < 0.1 * np.linalg.norm(wanted):
+        raise PartInvalidError(
+            f"scan.row_direction {list(direction)} is perpendicular to the part; a direction "
+            "along its surface is accepted"
+        )
+    return RowFrame(flat / length, np.cross(base, flat / length), base)
+
+
+def candidate_frames(vertices: Array, base: Array) -> tuple[RowFrame, ...]:
+    """Returns the frames along the two sides of the smallest rectangle around the part.
+
+    Args:
+        vertices: Points of the part, shape (v, 3) [m].
+        base: Mean normal, shape (3,).
+
+    Returns:
+        Two frames, the one along the longer side first.
+    """
+    helper = np.eye(3)[np.argmin(np.abs(base))]
+    first = np.cross(helper, base) / np.linalg.norm(np.cross(helper, base))
+    second = np.cross(base, first)
+    flat = np.stack([vertices @ first, vertices @ second], axis=1)
+    angle = _rectangle_angle(flat)
+    along = np.cos(angle) * first + np.sin(angle) * second
+    across = np.cross(base, along)
+    frames = [_positive(along, base), _positive(across, base)]
+    frames.sort(key=lambda frame: -float(np.ptp(vertices @ frame.along)))
+    return tuple(frames)
+
+
+def _positive(along: Array, base: Array) -> RowFrame:
+    """Rows run toward the positive side of the axis that they are nearest to."""
+    if along[np.argmax(np.abs(along))] < 0:
+        along = -along
+    return RowFrame(along, np.cross(base, along), base)
+
+
+def _rectangle_angle(flat: Array) -> float:
+    """Returns the angle [rad] of the rectangle of least area around points, shape (v, 2)."""
+    try:
+        hull = flat[ConvexHull(flat).vertices]
+    except QhullError as error:
+        raise MeshRefusedError(
+            "the part is a line seen from the scanner; a surface is accepted"
+        ) from error
+    sides = np.roll(hull, -1, axis=0) - hull
+    angles = np.unique(np.round(np.arctan2(sides[:, 1], sides[:, 0]) % (np.pi / 2), 9))
+    turned = np.stack([np.cos(angles), np.sin(angles)], axis=1) @ hull.T
+    lifted = np.stack([-np.sin(angles), np.cos(angles)], axis=1) @ hull.T
+    return float(angles[np.argmin(np.ptp(turned, axis=1) * np.ptp(lifted, axis=1))])

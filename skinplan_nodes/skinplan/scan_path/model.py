@@ -1,0 +1,49 @@
+"""The scan path, as the rooms exchange it."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.transforms import Array
+
+ROW = 0
+FEATURE = 1
+
+
+@dataclass(frozen=True, eq=False)
+class ScanPath:
+    """Scan path points in the workpiece frame, row points first (M2.1, M2.2).
+
+    Attributes:
+        positions: Scanner origins, shape (n, 3) [m].
+        directions: Unit view directions (scanner +x), shape (n, 3).
+        targets: Surface points that the poses were made for, shape (n, 3) [m].
+        kinds: ROW or FEATURE, shape (n,).
+        groups: Row number for row points, region number (from 1) for feature points, shape (n,).
+            Row points of one row stand in the order along the row; a row that stops at a hole and
+            goes on behind it has two numbers.
+        strategy: Name of the strategy that made it.
+        regions: Number of complex regions of the part.
+    """
+
+    positions: Array
+    directions: Array
+    targets: Array
+    kinds: NDArray[np.int64]
+    groups: NDArray[np.int64]
+    strategy: str
+    regions: int
+
+    def __len__(self) -> int:
+        return len(self.positions)
+
+    @property
+    def row_points(self) -> int:
+        """Number of row points."""
+        return int(np.count_nonzero(self.kinds == ROW))
+
+    @property
+    def feature_points(self) -> int:
+        """Number of feature points."""
+        return int(np.count_nonzero(self.kinds == FEATURE))

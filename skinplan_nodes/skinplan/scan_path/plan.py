@@ -1,0 +1,78 @@
+"""Plans the scan path by a strategy chosen by name."""
+
+from collections.abc import Callable
+
+import numpy as np
+
+from skinplan.errors import InputError, MeshEmptyError, MeshNotFiniteError, StrategyUnknownError
+from skinplan.mesh.model import Segmentation, SurfaceMesh
+from skinplan.part.model import ScanSettings
+from skinplan.part.settings import check_settings
+from skinplan.scan_path import published
+from skinplan.scan_path.model import ScanPath
+
+STRATEGIES: dict[str, Callable[[SurfaceMesh, Segmentation, ScanSettings], ScanPath]] = {
+    "published": published.published_path,
+}
+
+
+def plan_scan_path(
+    mesh: SurfaceMesh, segmentation: Segmentation, settings: ScanSettings
+) -> ScanPath:
+    """Plans the scan path of a part.
+
+    Args:
+        mesh: A checked mesh, in the workpiece frame.
+        segmentation: Its complex regions.
+        settings: Scan settings; ``strategy`` names one of `STRATEGIES`.
+
+    Returns:
+        The scan path in the workpiece frame.
+
+    Raises:
+        StrategyUnknownError: No strategy of that name.
+        PartInvalidError: A setting out of range.
+        MeshError: Nothing that can be planned on.
+    """
+    if settings.strategy not in STRATEGIES:
+        raise StrategyUnknownError(
+            f"scan path strategy {settings.strategy!r} is not available; accepted are "
+            f"{', '.join(sorted(STRATEGIES))}"
+        )
+    _check(mesh, segmentation)
+    return STRATEGIES[settings.strategy](mesh, segmentation, check_settings(settings))
+
+
+def rows_only_path(
+    mesh: SurfaceMesh, segmentation: Segmentation, settings: ScanSettings
+) -> ScanPath:
+    """Plans conventional row cutting over the whole part, to compare with (Fig. 21).
+
+    Args:
+        mesh: A checked mesh, in the workpiece frame.
+        segmentation: Its complex regions.
+        settings: Scan settings.
+
+    Returns:
+        Row points with one view direction, the mean inward normal of the part.
+
+    Raises:
+        PartInvalidError: A setting out of range.
+        MeshError: Nothing that can be planned on.
+    """
+    _check(mesh, segmentation)
+    return published.rows_only_path(mesh, segmentation, check_settings(settings))
+
+
+def _check(mesh: SurfaceMesh, segmentation: Segmentation) -> None:
+    if len(mesh.faces) == 0:
+        raise MeshEmptyError("the mesh has no faces; a mesh with at least one face is accepted")
+    if not np.isfinite(mesh.vertices).all():
+        raise MeshNotFiniteError(
+            "the mesh has vertices that are NaN or infinite; finite numbers are accepted"
+        )
+    if segmentation.face_region.shape != (len(mesh.faces),):
+        raise InputError(
+            f"a segmentation of the mesh's {len(mesh.faces)} faces is accepted, "
+            f"found one of {len(segmentation.face_region)} faces"
+        )

@@ -1,0 +1,1 @@
+"""The scanner: field of view, rays, surface samples, the coverage certificate."""
