@@ -1,0 +1,53 @@
+"""Quality of a marker view, eq (3) of M1.2."""
+
+import numpy as np
+
+from skinplan.errors import InputError
+from skinplan.robot.cell import QualitySettings
+from skinplan.transforms import Array
+
+
+def angle_and_distance(T_camera_marker: Array) -> tuple[float, float]:
+    """Returns theta and d of eq (3).
+
+    Args:
+        T_camera_marker: Marker in the optical frame, shape (4, 4) [m].
+
+    Returns:
+        Angle between the optical axis and the marker plane, in [0, pi/2], pi/2 = fronto-parallel
+        [rad], and the distance of the camera from that plane [m].
+    """
+    normal = T_camera_marker[:3, 2]
+    angle = float(np.arcsin(min(abs(normal[2]), 1.0)))
+    return angle, float(abs(normal @ T_camera_marker[:3, 3]))
+
+
+def marker_quality(angle_rad: float, distance_m: float, settings: QualitySettings) -> float:
+    """Quality E of eq (3): alpha sin(theta) + (1 - alpha) (d_max - d) / (d_max - d_min).
+
+    The distance counts as d_min where it is smaller and as d_max where it is larger, so E is in
+    [0, 1], and 1 exactly at theta = pi/2 and d <= d_min.
+
+    Args:
+        angle_rad: theta, in [0, pi/2] [rad].
+        distance_m: d, >= 0 [m].
+        settings: alpha, d_min, d_max.
+
+    Returns:
+        E.
+
+    Raises:
+        InputError: An argument is not finite or out of range, or d_max is not above d_min.
+    """
+    near, far = settings.distance_min_m, settings.distance_max_m
+    if not 0.0 <= settings.alpha <= 1.0 or not 0.0 < near < far:
+        raise InputError(
+            f"eq (3) takes alpha in [0, 1] and 0 < d_min < d_max, found alpha {settings.alpha}, "
+            f"d_min {near} m, d_max {far} m"
+        )
+    if not 0.0 <= angle_rad <= np.pi / 2 + 1e-9 or not 0.0 <= distance_m < np.inf:
+        raise InputError(
+            f"eq (3) takes theta in [0, pi/2] and d >= 0, found {angle_rad} rad and {distance_m} m"
+        )
+    closeness = (far - float(np.clip(distance_m, near, far))) / (far - near)
+    return float(settings.alpha * np.sin(angle_rad) + (1.0 - settings.alpha) * closeness)

@@ -1,0 +1,1 @@
+"""Devices that behave as their real counterparts, on simulated time (M4)."""

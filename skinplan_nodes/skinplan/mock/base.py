@@ -1,0 +1,257 @@
+"""A mobile base with differential drive that stops a little beside its goal (MiR100, M4)."""
+
+import logging
+from dataclasses import dataclass
+
+import numpy as np
+
+from skinplan.errors import InputError
+from skinplan.mock.profile import Braking, Profile
+from skinplan.robot.cell import CellConfig
+from skinplan.transforms import Array, heading, inverse, planar, require_transform
+
+log = logging.getLogger(__name__)
+
+# A goal nearer than this is where the base already stands: it does not move.
+_SAME_PLACE_M = 1e-4
+_SAME_HEADING_RAD = 1e-4
+_FLAT_M = 1e-3
+_FLAT_RAD = 1e-3
+
+
+@dataclass(frozen=True)
+class BaseConfig:
+    """How the base drives; its speed and its stopping error are in `CellConfig`.
+
+    Attributes:
+        acceleration_m_s2: Of driving [m/s^2].
+        turn_speed_rad_s: Greatest speed of turning on the spot [rad/s].
+        turn_acceleration_rad_s2: Of turning [rad/s^2].
+        goal_distance_max_m: Goals farther away are refused [m].
+    """
+
+    acceleration_m_s2: float = 0.5
+    turn_speed_rad_s: float = 1.0
+    turn_acceleration_rad_s2: float = 1.0
+    goal_distance_max_m: float = 50.0
+
+
+@dataclass(frozen=True)
+class _Leg:
+    """One part of a motion: turning on the spot or driving straight, from (x, y, heading)."""
+
+    start: tuple[float, float, float]
+    drive: float
+    turn: float
+    profile: Profile | Braking
+
+    def at(self, elapsed_s: float) -> tuple[tuple[float, float, float], float, float]:
+        """Returns (x, y, heading), speed [m/s] and turn rate [rad/s]."""
+        way, speed = self.profile.at(elapsed_s)
+        x, y, angle = self.start
+        pose = (
+            x + self.drive * way * np.cos(angle),
+            y + self.drive * way * np.sin(angle),
+            angle + self.turn * way,
+        )
+        return pose, self.drive * speed, self.turn * speed
+
+
+class MockBase:
+    """Turns, drives straight, turns; every state is a closed form of the time.
+
+    The base believes that it reaches its goal. In truth it stands beside it: `true` is `believed`
+    composed with an error that is drawn at every stop, uniform over a disc of radius
+    ``base_error_m`` and over +-``base_error_rad``. While driving, the error passes smoothly from
+    the old to the new one.
+
+    Args:
+        config: How it drives.
+        cell: Speed and stopping error.
+        seed: Of the stopping errors.
+        T_map_base_link: Where it believes to stand at the start, shape (4, 4) [m]; None = the work
+            position of the cell.
+    """
+
+    def __init__(
+        self, config: BaseConfig, cell: CellConfig, seed: int, T_map_base_link: Array | None = None
+    ) -> None:
+        self._config = config
+        self._cell = cell
+        self._random = np.random.default_rng([seed, 0xBA5E])
+        start = cell.T_map_work if T_map_base_link is None else T_map_base_link
+        self._legs: list[_Leg] = []
+        self._started_s = 0.0
+        self._now_s = 0.0
+        self._rest = _floor_pose(start, "start pose of the base")
+        self._error_from = self._draw_error()
+        self._error_to = self._error_from
+
+    @property
+    def believed(self) -> Array:
+        """What odometry and tf say: ``T_map_base_link``, shape (4, 4) [m]."""
+        return planar(*self._state()[0])
+
+    @property
+    def true(self) -> Array:
+        """Where the base stands: ``T_map_base_link``, shape (4, 4) [m]."""
+        elapsed, duration = self._now_s - self._started_s, self._duration
+        share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
+        return self.believed @ planar(
+            *(self._error_from + share * (self._error_to - self._error_from))
+        )
+
+    @property
+    def speed(self) -> float:
+        """Forward speed [m/s]; negative = backwards."""
+        return self._state()[1]
+
+    @property
+    def turn_rate(self) -> float:
+        """Turn rate about z [rad/s]."""
+        return self._state()[2]
+
+    @property
+    def moving(self) -> bool:
+        """Whether the motion is still going on."""
+        return self._now_s < self._started_s + self._duration
+
+    @property
+    def remaining_s(self) -> float:
+        """Time until the base stands [s]."""
+        return max(0.0, self._started_s + self._duration - self._now_s)
+
+    @property
+    def remaining_m(self) -> float:
+        """Straight distance from the believed place to the end of the motion [m]."""
+        x, y, _ = self._state()[0]
+        return float(np.hypot(self._rest[0] - x, self._rest[1] - y))
+
+    def step(self, now_s: float) -> None:
+        """Moves the base's clock on; steps of any size give the same states.
+
+        Time never runs backwards: an earlier time changes nothing.
+
+        Args:
+            now_s: Time [s].
+
+        Raises:
+            InputError: The time is not finite.
+        """
+        if not np.isfinite(now_s):
+            raise InputError(f"the base was stepped to {now_s} s; a finite time is accepted")
+        self._now_s = max(self._now_s, float(now_s))
+
+    def goal(self, T_map_base_link: Array, now_s: float | None = None) -> None:
+        """Starts to drive to a pose; a goal in the middle of a motion replaces it at once.
+
+        Args:
+            T_map_base_link: Goal on the floor, shape (4, 4) [m].
+            now_s: Time of the start [s]; None = time of the last `step`.
+
+        Raises:
+            InputError: The goal is not finite, not on the floor plane or too far away.
+        """
+        target = _floor_pose(T_map_base_link, "goal of the base")
+        if now_s is not None:
+            self.step(now_s)
+        here = self._state()[0]
+        distance = float(np.hypot(target[0] - here[0], target[1] - here[1]))
+        if distance > self._config.goal_distance_max_m:
+            raise InputError(
+                f"goal of the base: at most {self._config.goal_distance_max_m} m away is accepted, "
+                f"found {distance:.1f} m"
+            )
+        self._begin(self._plan(here, target), target)
+
+    def cancel(self, now_s: float | None = None) -> None:
+        """Brakes to rest on the present line; without a motion nothing happens.
+
+        Args:
+            now_s: Time [s]; None = time of the last `step`.
+        """
+        if now_s is not None:
+            self.step(now_s)
+        if not self.moving:
+            return
+        pose, speed, rate = self._state()
+        if speed != 0.0:
+            leg = _Leg(
+                pose, np.sign(speed), 0.0, Braking(abs(speed), self._config.acceleration_m_s2)
+            )
+        else:
+            leg = _Leg(
+                pose, 0.0, np.sign(rate), Braking(abs(rate), self._config.turn_acceleration_rad_s2)
+            )
+        self._begin([leg], leg.at(leg.profile.duration)[0])
+
+    def _begin(self, legs: list[_Leg], rest: tuple[float, float, float]) -> None:
+        elapsed, duration = self._now_s - self._started_s, self._duration
+        share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
+        self._error_from = self._error_from + share * (self._error_to - self._error_from)
+        self._legs, self._rest, self._started_s = legs, rest, self._now_s
+        self._error_to = self._draw_error() if legs else self._error_from
+        log.debug("base: %d legs, %.2f s to %s", len(legs), self._duration, rest)
+
+    def _plan(
+        self, here: tuple[float, float, float], target: tuple[float, float, float]
+    ) -> list[_Leg]:
+        """Turn, drive, turn; backwards where that needs less turning."""
+        x, y, angle = here
+        distance = float(np.hypot(target[0] - x, target[1] - y))
+        if distance < _SAME_PLACE_M:
+            return self._turning((x, y, angle), _wrapped(target[2] - angle))
+        along = float(np.arctan2(target[1] - y, target[0] - x))
+        ways = []
+        for sign, course in ((1.0, along), (-1.0, along + np.pi)):
+            first, last = _wrapped(course - angle), _wrapped(target[2] - course)
+            ways.append((round(abs(first) + abs(last), 6), -sign, first, last))
+        _, sign, first, last = min(ways)
+        legs = self._turning((x, y, angle), first)
+        drive = Profile(distance, self._cell.base_speed_m_s, self._config.acceleration_m_s2)
+        legs.append(_Leg((x, y, angle + first), -sign, 0.0, drive))
+        return legs + self._turning((target[0], target[1], angle + first), last)
+
+    def _turning(self, start: tuple[float, float, float], angle: float) -> list[_Leg]:
+        if abs(angle) < _SAME_HEADING_RAD:
+            return []
+        profile = Profile(
+            abs(angle), self._config.turn_speed_rad_s, self._config.turn_acceleration_rad_s2
+        )
+        return [_Leg(start, 0.0, float(np.sign(angle)), profile)]
+
+    @property
+    def _duration(self) -> float:
+        return sum(leg.profile.duration for leg in self._legs)
+
+    def _state(self) -> tuple[tuple[float, float, float], float, float]:
+        elapsed = self._now_s - self._started_s
+        for leg in self._legs:
+            if elapsed < leg.profile.duration:
+                return leg.at(elapsed)
+            elapsed -= leg.profile.duration
+        return self._rest, 0.0, 0.0
+
+    def _draw_error(self) -> Array:
+        radius = self._cell.base_error_m * np.sqrt(self._random.uniform())
+        bearing = self._random.uniform(-np.pi, np.pi)
+        turn = self._random.uniform(-1.0, 1.0) * self._cell.base_error_rad
+        return np.array([radius * np.cos(bearing), radius * np.sin(bearing), turn])
+
+
+def _wrapped(angle: float) -> float:
+    return float((angle + np.pi) % (2.0 * np.pi) - np.pi)
+
+
+def _floor_pose(T_map_base_link: Array, name: str) -> tuple[float, float, float]:
+    """Returns (x, y, heading) of a pose on the floor, or says why it is none."""
+    pose = require_transform(T_map_base_link, name)
+    flat = planar(pose[0, 3], pose[1, 3], heading(pose))
+    delta = inverse(flat) @ pose
+    if abs(delta[2, 3]) > _FLAT_M or np.abs(delta[:3, :3] - np.eye(3)).max() > _FLAT_RAD:
+        raise InputError(
+            f"{name}: a pose on the floor (z = 0, turned about z alone) is accepted, found "
+            f"z = {pose[2, 3]:.3f} m and an upward axis of "
+            f"({pose[0, 2]:.3f}, {pose[1, 2]:.3f}, {pose[2, 2]:.3f})"
+        )
+    return float(pose[0, 3]), float(pose[1, 3]), heading(pose)

@@ -1,0 +1,197 @@
+"""A camera that renders the fixture's markers as its real counterpart would see them."""
+
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.errors import ImageInvalidError
+from skinplan.localization.camera import camera_model, project
+from skinplan.localization.detect import dictionary_of
+from skinplan.part.model import Fixture, Marker
+from skinplan.robot.cell import CameraConfig
+from skinplan.transforms import Array, apply, inverse, require_transform
+
+Image = NDArray[np.uint8]
+
+# White plate round the black square, in cells of the marker on every side.
+_QUIET_CELLS = 1.5
+# Texels per cell of the texture levels; the one nearest to a sample's size is looked up.
+_LEVELS = (4, 6, 8, 12, 16, 24, 32, 48, 64)
+# Samples per pixel and axis: more where a cell has only a few pixels.
+_SAMPLES_FINE, _SAMPLES_COARSE, _FINE_CELL_PX = 4, 3, 9.0
+_BLACK, _WHITE = 28, 222
+_NEAREST_M = 0.05
+# The noise frame is larger than the image by this: every image takes another cut-out.
+_NOISE_MARGIN = 96
+
+
+@dataclass(frozen=True, eq=False)
+class _Plate:
+    """A marker with its white plate, in the marker frame.
+
+    Attributes:
+        half_m: Half of the plate's side [m].
+        cell_m: Side of one cell [m].
+        T_workpiece_marker: shape (4, 4) [m].
+        levels: Textures by texels per cell, shape (t, t, 2): grey value times cover, and cover.
+    """
+
+    half_m: float
+    cell_m: float
+    T_workpiece_marker: Array
+    levels: dict[int, Image]
+
+
+class MockCamera:
+    """Perspective camera with distortion, blur, noise and a shaded grey background.
+
+    Args:
+        camera: Figures of the camera.
+        fixture: Its markers are what can be seen; the part itself is not drawn.
+        seed: Of the noise.
+        blur_px: Standard deviation of the blur [px]; 0 = none.
+        noise: Standard deviation of the noise [grey levels]; 0 = none.
+    """
+
+    def __init__(
+        self,
+        camera: CameraConfig,
+        fixture: Fixture,
+        seed: int,
+        blur_px: float = 0.7,
+        noise: float = 2.0,
+    ) -> None:
+        self._camera = camera_model(camera)
+        self._plates = tuple(
+            _plate(fixture.dictionary, marker, fixture.T_workpiece_marker(marker.id))
+            for marker in fixture.markers
+        )
+        self._blur_px = blur_px
+        self._random = np.random.default_rng([seed, 0xCA3E])
+        shape = (self._camera.height, self._camera.width)
+        self._rays = self._pixel_rays()
+        self._background = _shading(*shape)
+        self._noise: NDArray[np.int16] | None = None
+        if noise > 0.0:
+            larger = (shape[0] + _NOISE_MARGIN, shape[1] + _NOISE_MARGIN)
+            self._noise = np.rint(self._random.normal(0.0, noise, larger)).astype(np.int16)
+
+    def render(self, T_camera_workpiece: Array) -> Image:
+        """Renders one image.
+
+        Args:
+            T_camera_workpiece: True pose of the workpiece in the optical frame, shape (4, 4) [m].
+
+        Returns:
+            Grey image, shape (height, width).
+
+        Raises:
+            InputError: The pose is no rigid transform.
+        """
+        pose = require_transform(T_camera_workpiece, "T_camera_workpiece")
+        image = self._background.copy()
+        seen = [(pose @ plate.T_workpiece_marker, plate) for plate in self._plates]
+        for T_camera_marker, plate in sorted(seen, key=lambda pair: -pair[0][2, 3]):
+            self._draw(image, T_camera_marker, plate)
+        if self._blur_px > 0.0:
+            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur_px), dtype=np.uint8)
+        return self._with_noise(image)
+
+    def _draw(self, image: Image, T_camera_marker: Array, plate: _Plate) -> None:
+        """Blends one plate into the image, unless it is behind the camera or seen from the back."""
+        outline = apply(T_camera_marker, _rim(plate.half_m))
+        if outline[:, 2].min() < _NEAREST_M or T_camera_marker[:3, 2] @ T_camera_marker[:3, 3] >= 0:
+            return
+        pixels = project(outline, self._camera)
+        low = np.maximum(np.floor(pixels.min(axis=0)).astype(int) - 2, 0)
+        high = np.minimum(
+            np.ceil(pixels.max(axis=0)).astype(int) + 3, [self._camera.width, self._camera.height]
+        )
+        if np.any(high - low < 2):
+            return
+        window = np.s_[low[1] : high[1], low[0] : high[0]]
+        longest = float(np.ptp(pixels, axis=0).max()) / (2.0 * plate.half_m) * plate.cell_m
+        layer = self._sampled(window, T_camera_marker, plate, longest)
+        below = image[window].astype(np.float32)
+        cover = layer[..., 1] * np.float32(1.0 / 255.0)
+        image[window] = np.rint(below * (1.0 - cover) + layer[..., 0]).astype(np.uint8)
+
+    def _sampled(
+        self, window: tuple[slice, slice], T_camera_marker: Array, plate: _Plate, cell_px: float
+    ) -> NDArray[np.float32]:
+        """Looks the texture up at several places per pixel and takes the mean, shape (h, w, 2)."""
+        samples = _SAMPLES_FINE if cell_px < _FINE_CELL_PX else _SAMPLES_COARSE
+        level = min(_LEVELS, key=lambda texels: abs(np.log(texels / (cell_px * samples))))
+        texture = plate.levels[level]
+        rays = self._rays[window]
+        # A ray r meets the marker plane at s r with marker coordinates M r / (n . r).
+        T_marker_camera = inverse(T_camera_marker)
+        eye = T_marker_camera[:3, 3]
+        turn = T_marker_camera[:3, :3]
+        to_plane = (turn[:2] * -eye[2] + np.outer(eye[:2], turn[2])) / plate.cell_m * level
+        top = rays @ to_plane[:, :2].T.astype(np.float32) + to_plane[:, 2].astype(np.float32)
+        below = rays @ turn[2, :2].astype(np.float32) + np.float32(turn[2, 2])
+        at = top / np.where(np.abs(below) < 1e-9, np.float32(1e-9), below)[..., None]
+        middle = np.float32((texture.shape[0] - 1) / 2.0)
+        x = _finer(at[..., 0] + middle, samples)
+        y = _finer(middle - at[..., 1], samples)
+        fine = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        shape = rays.shape[1::-1]
+        mean = cv2.resize(fine.astype(np.float32), shape, interpolation=cv2.INTER_AREA)
+        return np.asarray(mean, dtype=np.float32)
+
+    def _pixel_rays(self) -> NDArray[np.float32]:
+        """Where the undistorted ray of every pixel meets z = 1, shape (h, w, 2)."""
+        rows, columns = np.mgrid[: self._camera.height, : self._camera.width]
+        pixels = np.stack([columns, rows], axis=-1).reshape(-1, 1, 2).astype(float)
+        criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 40, 1e-10)
+        rays = cv2.undistortPoints(pixels, self._camera.K, self._camera.D, criteria=criteria)
+        if not np.all(np.isfinite(rays)):
+            raise ImageInvalidError("the camera's distortion can't be inverted over its image")
+        return rays.reshape(self._camera.height, self._camera.width, 2).astype(np.float32)
+
+    def _with_noise(self, image: Image) -> Image:
+        if self._noise is None:
+            return image
+        row, column = self._random.integers(0, _NOISE_MARGIN, 2)
+        cut = self._noise[row : row + image.shape[0], column : column + image.shape[1]]
+        return np.asarray(cv2.add(image, cut, dtype=cv2.CV_8U), dtype=np.uint8)
+
+
+def _rim(half_m: float) -> Array:
+    """Returns points along the four edges of a square, shape (36, 3) [m]."""
+    steps = np.linspace(-half_m, half_m, 9)
+    ends, flat = np.full_like(steps, half_m), np.zeros_like(steps)
+    edges = ((steps, ends), (steps, -ends), (ends, steps), (-ends, steps))
+    return np.vstack([np.column_stack([x, y, flat]) for x, y in edges])
+
+
+def _finer(values: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
+    """Spreads values at pixel centres over so many places per pixel and axis."""
+    finer = cv2.resize(values, None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR)
+    return np.asarray(finer, dtype=np.float32)
+
+
+def _plate(dictionary: str, marker: Marker, T_workpiece_marker: Array) -> _Plate:
+    book = dictionary_of(dictionary)
+    cells = book.markerSize + 2
+    bits = cv2.aruco.generateImageMarker(book, marker.id, cells, borderBits=1)
+    grey = np.where(bits > 127, _WHITE, _BLACK).astype(np.uint8)
+    cell_m = marker.size_m / cells
+    levels = {}
+    for texels in _LEVELS:
+        quiet = round(_QUIET_CELLS * texels)
+        black_white = np.kron(grey, np.ones((texels, texels), np.uint8))
+        value = np.pad(black_white, quiet, constant_values=_WHITE)
+        levels[texels] = np.dstack([value, np.full_like(value, 255)])
+    half_m = 0.5 * marker.size_m + _QUIET_CELLS * cell_m
+    return _Plate(half_m, cell_m, T_workpiece_marker, levels)
+
+
+def _shading(height: int, width: int) -> Image:
+    """A grey wall, lighter at the top left, darker at the bottom."""
+    y, x = np.mgrid[0.0 : 1.0 : height * 1j, 0.0 : 1.0 : width * 1j]
+    shade = 128.0 + 18.0 * (0.5 - y) + 12.0 * (0.5 - x) + 6.0 * np.sin(5.0 * x + 2.0 * y)
+    return np.rint(shade).astype(np.uint8)
