@@ -1,0 +1,1 @@
+"""Results of a run: merged cloud, alignment, coverage reached, deviation, report."""

@@ -1,0 +1,1 @@
+"""Jobs: ISA-95 states, checks, the store."""

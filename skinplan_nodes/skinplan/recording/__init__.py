@@ -1,0 +1,1 @@
+"""Bags of runs: rosbag2 MCAP writer and reader, QoS, schemas, metadata."""
