@@ -1,0 +1,325 @@
+"""The ``skinplan`` command.
+
+Every command has ``--json`` (one document on stdout, logs on stderr), a progress bar on a terminal,
+and exit code 0, 2 (bad input, named) or 1 (failed).
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from skinplan import console
+from skinplan.cell_run import CellRun, RunRequest
+from skinplan.errors import InputError, PartNotFoundError
+from skinplan.inspection.report import write_report
+from skinplan.mesh.check import check_mesh
+from skinplan.mesh.load import load_mesh
+from skinplan.part.model import Part
+from skinplan.part.resolve import resolve_part
+from skinplan.part.samples import SAMPLE_TITLES, SAMPLES, write_sample
+from skinplan.pipeline import plan_part
+from skinplan.plan_record import write_json
+from skinplan.recording.reader import open_bag
+from skinplan.replay_run import replay_bag
+from skinplan.robot.cell import load_cell
+
+app = typer.Typer(
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    help="Plans and runs the 3-D measurement of large skins with a mobile manipulator.",
+)
+parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
+app.add_typer(parts_app, name="parts")
+
+PartArgument = Annotated[
+    str,
+    typer.Argument(
+        help="A sample's name, a part.yaml, or a mesh file with --unit.", show_default=False
+    ),
+]
+UnitOption = Annotated[
+    str | None, typer.Option("--unit", help="Unit of a mesh file: m, mm, cm or inch.")
+]
+CellOption = Annotated[
+    Path | None, typer.Option("--cell", help="Cell file; without it the default cell.")
+]
+JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON document on stdout.")]
+StrategyOption = Annotated[
+    str | None, typer.Option(help="Scan path strategy; without it the part file's.")
+]
+StationOption = Annotated[
+    str | None, typer.Option(help="Station strategy; without it the part file's.")
+]
+OrderOption = Annotated[
+    str | None, typer.Option(help="Order strategy; without it the part file's.")
+]
+RunsOption = Annotated[Path, typer.Option("--runs", help="Folder that holds the runs.")]
+
+
+@parts_app.callback()
+def parts(context: typer.Context, as_json: JsonOption = False) -> None:
+    """List the sample parts."""
+    if context.invoked_subcommand is not None:
+        return
+    with console.command(as_json):
+        rows = [(name, _sample_title(name)) for name in SAMPLES]
+        if as_json:
+            console.print_json(
+                {"samples": [{"name": name, "title": title} for name, title in rows]}
+            )
+        else:
+            console.print_table("Sample parts", ("name", "part"), rows)
+
+
+@parts_app.command("export")
+def export_part(
+    name: Annotated[str, typer.Argument(help="A sample's name.")],
+    folder: Annotated[Path, typer.Argument(help="Where to write the mesh and part.yaml.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Write a sample's mesh and part file to a folder."""
+    with console.command(as_json):
+        if name not in SAMPLES:
+            raise PartNotFoundError(
+                f"sample part {name!r} was asked for; accepted are {', '.join(SAMPLES)}"
+            )
+        part = write_sample(name, folder)
+        document = {
+            "part": str(part.source),
+            "mesh": str(part.mesh_path),
+            "sha256": part.mesh_sha256,
+        }
+        if as_json:
+            console.print_json(document)
+        else:
+            typer.echo(f"{document['part']}\n{document['mesh']}")
+
+
+@app.command()
+def check(
+    mesh: Annotated[Path, typer.Argument(help="Mesh file: STL, PLY or OBJ.")],
+    unit: Annotated[str, typer.Option(help="Unit of the file: m, mm, cm or inch.")] = "m",
+    as_json: JsonOption = False,
+) -> None:
+    """Say what is wrong with a mesh, and what would be done about it."""
+    with console.command(as_json):
+        loaded = load_mesh(mesh, unit)
+        repaired, findings = check_mesh(loaded)
+        size = repaired.bounds[1] - repaired.bounds[0]
+        if as_json:
+            console.print_json(
+                {
+                    "triangles": len(repaired.faces),
+                    "area_m2": repaired.area,
+                    "size_m": size,
+                    "sha256": loaded.sha256,
+                    "findings": [vars(finding) for finding in findings],
+                }
+            )
+            return
+        typer.echo(
+            f"{mesh}: {len(repaired.faces)} triangles, {repaired.area:.3f} m², "
+            f"{size[0]:.3f} × {size[1]:.3f} × {size[2]:.3f} m"
+        )
+        rows = [(f.name, f.count, f.action, f.detail) for f in findings]
+        if rows:
+            console.print_table("Findings", ("finding", "count", "action", "detail"), rows)
+        else:
+            typer.echo("no findings")
+
+
+@app.command()
+def plan(
+    part: PartArgument,
+    unit: UnitOption = None,
+    cell: CellOption = None,
+    strategy: StrategyOption = None,
+    stations: StationOption = None,
+    order: OrderOption = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for the plan's JSON files.")] = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Plan a part at its nominal place, without ROS."""
+    with console.command(as_json):
+        asked = _with_strategies(resolve_part(part, unit), strategy, stations, order)
+        config = load_cell(cell)
+        with console.progress_bar(f"plan {asked.id}") as progress:
+            made = plan_part(asked, config, progress)
+        summary = made.summary()
+        if out is not None:
+            made.write(out)
+            write_json(out / "summary.json", summary)
+        if as_json:
+            console.print_json(summary)
+        else:
+            _show_plan(asked, summary, out)
+
+
+@app.command()
+def run(
+    part: PartArgument,
+    unit: UnitOption = None,
+    cell: CellOption = None,
+    runs: RunsOption = Path("runs"),
+    strategy: StrategyOption = None,
+    stations: StationOption = None,
+    order: OrderOption = None,
+    time_factor: Annotated[
+        float, typer.Option(min=0.1, max=50.0, help="Times faster than real time.")
+    ] = 5.0,
+    seed: Annotated[
+        int, typer.Option(min=0, help="Seed of every random draw of the mock cell.")
+    ] = 1,
+    as_json: JsonOption = False,
+) -> None:
+    """Start the graph on the mock cell, measure a part, record the run."""
+    with console.command(as_json):
+        asked = resolve_part(part, unit)
+        _refuse_bad_mesh(asked)
+        asked = _with_strategies(asked, strategy, stations, order)
+        load_cell(cell)
+        request = RunRequest(asked, runs.absolute(), cell, time_factor, seed)
+        with console.progress_bar(f"run {asked.id}") as progress:
+            outcome = CellRun(request).measure(progress)
+        if as_json:
+            console.print_json(outcome.document())
+        else:
+            _show_run(outcome.document())
+        if not outcome.ended:
+            console.stderr.print(f"[bold red]skinplan:[/] {outcome.error}", soft_wrap=True)
+            raise typer.Exit(console.EXIT_FAILED)
+
+
+@app.command()
+def replay(
+    bag: Annotated[Path, typer.Argument(help="Folder of a bag, or an MCAP file.")],
+    rate: Annotated[
+        float, typer.Option(min=0.01, max=100.0, help="Times faster than recorded.")
+    ] = 1.0,
+    start_s: Annotated[
+        float, typer.Option("--start", min=0.0, help="Begin at this offset [s].")
+    ] = 0.0,
+    info: Annotated[bool, typer.Option("--info", help="Only say what is in the bag.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Play a bag into the graph of this machine, with its clock."""
+    with console.command(as_json):
+        found = open_bag(bag)
+        document: dict[str, Any] = {
+            "bag": str(bag),
+            "duration_s": found.duration_s,
+            "messages": found.messages,
+            "topics": [
+                {"topic": topic.name, "type": topic.type_name, "messages": topic.messages}
+                for topic in found.topics
+            ],
+        }
+        if start_s > found.duration_s:
+            raise InputError(
+                f"replay was asked to start at {start_s:g} s, the bag is "
+                f"{found.duration_s:.1f} s long; an offset within it is accepted"
+            )
+        if not as_json:
+            rows = [(t["topic"], t["type"], t["messages"]) for t in document["topics"]]
+            console.print_table(
+                f"{bag}: {found.duration_s:.1f} s", ("topic", "type", "messages"), rows
+            )
+        if not info:
+            document["played"] = replay_bag(bag, rate, start_s)
+        if as_json:
+            console.print_json(document)
+
+
+@app.command()
+def report(
+    run_folder: Annotated[Path, typer.Argument(metavar="RUN", help="Folder of a run.")],
+    as_json: JsonOption = False,
+) -> None:
+    """Write report.html of a run."""
+    with console.command(as_json):
+        if not run_folder.is_dir():
+            raise InputError(f"a report of {run_folder} was asked for; there is no such folder")
+        path = write_report(run_folder)
+        if as_json:
+            console.print_json({"report": str(path)})
+        else:
+            typer.echo(str(path))
+
+
+def main() -> None:
+    """Entry point of the command."""
+    app()
+
+
+def _sample_title(name: str) -> str:
+    return SAMPLE_TITLES[name]
+
+
+def _with_strategies(
+    part: Part, strategy: str | None, stations: str | None, order: str | None
+) -> Part:
+    scan = replace(
+        part.scan,
+        strategy=strategy or part.scan.strategy,
+        station_strategy=stations or part.scan.station_strategy,
+        order_strategy=order or part.scan.order_strategy,
+    )
+    return replace(part, scan=scan)
+
+
+def _refuse_bad_mesh(part: Part) -> None:
+    check_mesh(load_mesh(part.mesh_path, part.unit))
+
+
+def _show_plan(part: Part, summary: dict[str, Any], out: Path | None) -> None:
+    path, stations, motion = summary["scan_path"], summary["stations"], summary["trajectory"]
+    coverage = summary["coverage"]
+    feature = coverage["feature_area_ratio"]
+    rows = [
+        (
+            "points",
+            f"{path['points']} ({path['row_points']} on rows, "
+            f"{path['feature_points']} on features)",
+        ),
+        ("predicted coverage", _percent(coverage["area_ratio"])),
+        ("… of the features", _percent(feature)),
+        ("stations", f"{stations['count']} of {stations['candidates']} candidates"),
+        ("points reached", _percent(stations["reached_ratio"])),
+        ("cycle time", f"{motion['cycle_s']:.0f} s (scan {motion['scan_s']:.0f} s)"),
+        ("points skipped", len(motion["skipped"])),
+        ("planned in", f"{summary['planning_s']['total']:.1f} s"),
+        ("plan hash", summary["plan_hash"][:16]),
+    ]
+    console.print_table(f"Plan of {part.id}", ("what", "value"), rows)
+    if out is not None:
+        typer.echo(f"written to {out}")
+
+
+def _show_run(document: dict[str, Any]) -> None:
+    measured = document.get("measured") or {}
+    localization = document.get("localization") or []
+    rows = [
+        ("job", f"{document['job']['id']}: {document['job']['state']}"),
+        ("stations", len(localization)),
+        ("quality E", ", ".join(f"{entry['E']:.2f}" for entry in localization if entry.get("E"))),
+        ("area measured", _percent(measured.get("area_ratio"))),
+        ("… of the features", _percent(measured.get("feature_area_ratio"))),
+        ("deviation (rms)", _millimetres(measured.get("deviation_rms_m"))),
+        ("folder", document.get("folder", "")),
+    ]
+    console.print_table("Run", ("what", "value"), rows)
+
+
+def _percent(ratio: float | None) -> str:
+    return "none" if ratio is None else f"{100 * ratio:.2f} %"
+
+
+def _millimetres(length_m: float | None) -> str:
+    return "none" if length_m is None else f"{1000 * length_m:.3f} mm"
+
+
+if __name__ == "__main__":
+    main()

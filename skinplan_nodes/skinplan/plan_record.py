@@ -1,0 +1,268 @@
+"""A plan on record: its hash, its JSON files, and the figures of ``summary.json``."""
+
+import hashlib
+import json
+import math
+import os
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from skinplan.scan_path.model import FEATURE, ScanPath
+from skinplan.scanner.model import CoverageFigures
+from skinplan.stations.model import SkippedPoint, StationPlan
+from skinplan.trajectory.cycle import CycleTime
+from skinplan.trajectory.model import SCAN, StationTrajectory
+from skinplan.transforms import Array, heading, quaternion
+
+# Hashes are taken over whole micrometres, microradians and microseconds: far below what a device
+# can tell, far above rounding.
+_HASH_STEP = 1e-6
+_DECIMALS = 6
+
+
+def scan_path_hash(path: ScanPath) -> str:
+    """Returns the SHA-256 of a scan path's points, kinds and groups, lower-case hex."""
+    digest = hashlib.sha256(path.strategy.encode())
+    for array in (path.positions, path.directions, path.targets, path.kinds, path.groups):
+        _update(digest, array)
+    return digest.hexdigest()
+
+
+def station_hash(plan: StationPlan) -> str:
+    """Returns the SHA-256 of the stations' poses and points, lower-case hex."""
+    digest = hashlib.sha256(plan.strategy.encode())
+    for station in plan.stations:
+        _update(digest, station.T_map_base_link)
+        _update(digest, station.points)
+    return digest.hexdigest()
+
+
+def trajectory_hash(trajectories: Iterable[StationTrajectory]) -> str:
+    """Returns the SHA-256 of all segments' kinds, times and joint positions, lower-case hex."""
+    digest = hashlib.sha256()
+    for trajectory in trajectories:
+        for segment in trajectory.segments:
+            digest.update(bytes([segment.kind]))
+            _update(digest, segment.times)
+            _update(digest, segment.positions)
+    return digest.hexdigest()
+
+
+def combined_hash(hashes: Sequence[str]) -> str:
+    """Returns the SHA-256 over several hashes in their order, lower-case hex."""
+    return hashlib.sha256("".join(hashes).encode()).hexdigest()
+
+
+def planning_summary(
+    *,
+    triangles: int,
+    area_m2: float,
+    mesh_sha256: str,
+    path: ScanPath,
+    coverage: CoverageFigures,
+    station_plan: StationPlan,
+    trajectories: Sequence[StationTrajectory],
+    cycle: CycleTime,
+    planning_s: Mapping[str, float],
+) -> dict[str, Any]:
+    """Returns the planning part of ``summary.json``; the keys that a plan and a run share.
+
+    Args:
+        triangles: Triangles of the mesh.
+        area_m2: Area of the mesh [m^2].
+        mesh_sha256: Hash of the mesh file.
+        path: Scan path.
+        coverage: Predicted coverage.
+        station_plan: Stations.
+        trajectories: Of all stations.
+        cycle: Cycle time figures.
+        planning_s: Wall time of the stages mesh, scan_path, coverage, stations, trajectory [s].
+
+    Returns:
+        A document of plain numbers, strings, lists and dicts; NaN is written as None.
+    """
+    hashes = [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
+    skipped = [*station_plan.skipped, *(s for t in trajectories for s in t.skipped)]
+    document = {
+        "mesh": {"triangles": triangles, "area_m2": area_m2, "sha256": mesh_sha256},
+        "scan_path": {
+            "strategy": path.strategy,
+            "points": len(path),
+            "row_points": path.row_points,
+            "feature_points": path.feature_points,
+            "regions": path.regions,
+        },
+        "coverage": {
+            "area_ratio": coverage.area_ratio,
+            "feature_area_ratio": coverage.feature_area_ratio,
+            "rows_only_area_ratio": coverage.rows_only_area_ratio,
+            "rows_only_feature_area_ratio": coverage.rows_only_feature_area_ratio,
+        },
+        "stations": _stations_summary(station_plan),
+        "trajectory": _cycle_summary(cycle, skipped),
+        "plan_hash": combined_hash(hashes),
+        "planning_s": {**planning_s, "total": float(sum(planning_s.values()))},
+    }
+    return plain(document)
+
+
+def write_plan_files(
+    folder: Path,
+    path: ScanPath | None = None,
+    station_plan: StationPlan | None = None,
+    trajectories: Sequence[StationTrajectory] | None = None,
+    joint_names: Sequence[str] = (),
+    T_map_workpiece: Array | None = None,
+) -> None:
+    """Writes ``scan_path.json``, ``stations.json``, ``trajectories.json``: those that are given.
+
+    Args:
+        folder: Created when it is missing.
+        path: Scan path, workpiece frame.
+        station_plan: Stations, map frame.
+        trajectories: Joint trajectories of the stations.
+        joint_names: Names of their joints, in the order of the columns.
+        T_map_workpiece: Where the stations were planned for, shape (4, 4) [m].
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    if path is not None:
+        write_json(folder / "scan_path.json", _path_document(path))
+    if station_plan is not None:
+        write_json(folder / "stations.json", _stations_document(station_plan, T_map_workpiece))
+    if trajectories is not None:
+        write_json(folder / "trajectories.json", _trajectories_document(trajectories, joint_names))
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Writes a JSON file in one step: a reader sees the old one or the new one, never half."""
+    text = json.dumps(plain(document), indent=1, allow_nan=False)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}")
+    temporary.write_text(text + "\n", encoding="utf-8")
+    temporary.replace(path)
+
+
+def plain(value: Any) -> Any:
+    """Returns a document without NumPy types, in which NaN and infinities are None."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    if isinstance(value, np.ndarray):
+        return plain(value.tolist())
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
+
+
+def _update(digest: Any, array: Any) -> None:
+    values = np.asarray(array)
+    if values.dtype.kind == "f":
+        values = np.rint(values / _HASH_STEP)
+    digest.update(np.ascontiguousarray(values, dtype="<i8").tobytes())
+
+
+def _stations_summary(plan: StationPlan) -> dict[str, Any]:
+    return {
+        "strategy": plan.strategy,
+        "count": len(plan.stations),
+        "candidates": plan.candidates,
+        "lower_bound": plan.lower_bound,
+        "proven_optimal": plan.proven_optimal,
+        "reached_ratio": plan.reached_ratio,
+    }
+
+
+def _cycle_summary(cycle: CycleTime, skipped: Sequence[SkippedPoint]) -> dict[str, Any]:
+    return {
+        "scan_s": cycle.scan_s,
+        "transit_s": cycle.transit_s,
+        "base_s": cycle.base_s,
+        "cycle_s": cycle.cycle_s,
+        "lower_bound_s": cycle.lower_bound_s,
+        "breaks": cycle.breaks,
+        "tcp_path_m": cycle.tcp_path_m,
+        "skipped": _skipped_document(skipped),
+    }
+
+
+def _skipped_document(skipped: Iterable[SkippedPoint]) -> list[dict[str, Any]]:
+    return [{"point": int(s.point), "reason": s.reason} for s in skipped]
+
+
+def _path_document(path: ScanPath) -> dict[str, Any]:
+    rows = zip(path.positions, path.directions, path.targets, path.kinds, path.groups, strict=True)
+    return {
+        "frame": "workpiece",
+        "strategy": path.strategy,
+        "regions": path.regions,
+        "hash": scan_path_hash(path),
+        "points": [
+            {
+                "position": np.round(position, _DECIMALS),
+                "direction": np.round(direction, _DECIMALS),
+                "target": np.round(target, _DECIMALS),
+                "kind": "feature" if kind == FEATURE else "row",
+                "group": group,
+            }
+            for position, direction, target, kind, group in rows
+        ],
+    }
+
+
+def _stations_document(plan: StationPlan, T_map_workpiece: Array | None) -> dict[str, Any]:
+    place = {}
+    if T_map_workpiece is not None:
+        turn = quaternion(T_map_workpiece)
+        place = {"workpiece": {"position_m": T_map_workpiece[:3, 3], "quaternion": turn}}
+    return {
+        "frame": "map",
+        **_stations_summary(plan),
+        "hash": station_hash(plan),
+        **place,
+        "stations": [
+            {
+                "id": station.id,
+                "pose": {
+                    "x_m": station.T_map_base_link[0, 3],
+                    "y_m": station.T_map_base_link[1, 3],
+                    "heading_rad": heading(station.T_map_base_link),
+                },
+                "points": station.points,
+            }
+            for station in plan.stations
+        ],
+        "skipped": _skipped_document(plan.skipped),
+    }
+
+
+def _trajectories_document(
+    trajectories: Sequence[StationTrajectory], joint_names: Sequence[str]
+) -> dict[str, Any]:
+    return {
+        "frame": "arm_base",
+        "hash": trajectory_hash(trajectories),
+        "joint_names": list(joint_names),
+        "stations": [
+            {
+                "station": trajectory.station_id,
+                "segments": [
+                    {
+                        "kind": "scan" if segment.kind == SCAN else "transit",
+                        "duration_s": segment.duration_s,
+                        "tcp_path_m": segment.tcp_path_m,
+                        "points": segment.points,
+                        "times_s": np.round(segment.times, _DECIMALS),
+                        "positions_rad": np.round(segment.positions, _DECIMALS),
+                    }
+                    for segment in trajectory.segments
+                ],
+                "skipped": _skipped_document(trajectory.skipped),
+            }
+            for trajectory in trajectories
+        ],
+    }
