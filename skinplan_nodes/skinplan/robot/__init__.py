@@ -1,0 +1,1 @@
+"""The cell, its arm, what the arm reaches and what it collides with."""

@@ -1,0 +1,6 @@
+"""The cell: what stands where, limits of its devices (`cell_model`), its file (`cell_file`)."""
+
+from skinplan.robot.cell_file import load_cell
+from skinplan.robot.cell_model import CameraConfig, CellConfig, QualitySettings
+
+__all__ = ["CameraConfig", "CellConfig", "QualitySettings", "load_cell"]

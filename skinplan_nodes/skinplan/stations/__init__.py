@@ -1,0 +1,1 @@
+"""Where the base stands (M2.3)."""

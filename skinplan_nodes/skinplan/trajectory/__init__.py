@@ -1,0 +1,1 @@
+"""How the arm moves (M2.4): order of visit, IK branches, timing, transitions."""

@@ -1,0 +1,130 @@
+"""From a way through the points to timed segments, and the last check of every sample of them."""
+
+import logging
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.robot.arm import ArmModel
+from skinplan.robot.collision import CollisionWorld
+from skinplan.trajectory.model import SCAN, TRANSIT, Segment
+from skinplan.trajectory.search import Way
+from skinplan.trajectory.timing import Limits, Timed, rest, tcp_length, time_line, time_path
+from skinplan.transforms import Array
+
+_LOG = logging.getLogger(__name__)
+
+
+def timed_segments(
+    arm: ArmModel, way: Way, points: NDArray[np.int64], limits: Limits
+) -> tuple[list[Segment], list[NDArray[np.int64]]]:
+    """Times a way.
+
+    Args:
+        arm: The arm.
+        way: The way; its points are places in ``points``.
+        points: Indices into the scan path, shape (p,).
+        limits: Limits while scanning; transits have no limit of the scanner's speed.
+
+    Returns:
+        The segments, and for each the edge of the way that each of its samples lies on.
+    """
+    free = Limits(limits.velocity, limits.acceleration, np.inf)
+    segments: list[Segment] = []
+    places: list[NDArray[np.int64]] = []
+    run: list[int] = []  # edges of the scan segment being collected
+    first = 0  # its first point
+
+    def finish(last: int) -> None:
+        timed, edge = _time_run(arm, way, run, first, limits)
+        passed = points[way.points[first : last + 1]]
+        segments.append(_segment(arm, SCAN, timed, passed))
+        places.append(edge)
+
+    for number, edge in enumerate(way.edges):
+        if not isinstance(edge, list):
+            run.append(number)
+            continue
+        if number > 0:
+            finish(number - 1)
+        legs = [_time_leg(arm, leg, free) for leg in edge]
+        if legs:
+            segments.append(_segment(arm, TRANSIT, _joined(legs), np.zeros(0, dtype=np.int64)))
+            places.append(np.full(len(segments[-1].times), number))
+        run, first = [], number
+    return segments, places
+
+
+def collision_edges(
+    world: CollisionWorld, segments: list[Segment], places: list[NDArray[np.int64]]
+) -> list[int]:
+    """Checks every sample, and in between where bodies move far; returns edges that collide."""
+    bad: set[int] = set()
+    for segment, edges in zip(segments, places, strict=True):
+        q, edge = _dense(world, segment.positions, edges)
+        free = world.free(q)
+        bad.update(edge[~free].tolist())
+    if bad:
+        _LOG.debug("timed edges %s collide", sorted(bad))
+    return sorted(bad)
+
+
+def _dense(
+    world: CollisionWorld, q: Array, edges: NDArray[np.int64]
+) -> tuple[Array, NDArray[np.int64]]:
+    way = np.abs(np.diff(q, axis=0)) @ world.arm.lever_arms()
+    count = np.maximum(np.ceil(way / world.step_m), 1).astype(int)
+    owner = np.repeat(np.arange(len(count)), count)
+    share = (np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / count[owner]
+    between = q[owner] + share[:, None] * (q[owner + 1] - q[owner])
+    return np.vstack([between, q[-1:]]), np.append(edges[owner], edges[-1])
+
+
+def _time_run(
+    arm: ArmModel, way: Way, run: list[int], first: int, limits: Limits
+) -> tuple[Timed, NDArray[np.int64]]:
+    pieces = [np.asarray(way.edges[number]) for number in run]
+    if not pieces:
+        return rest(way.states[first]), np.full(2, first)
+    owner = np.concatenate([np.full(len(p) - 1, n) for n, p in zip(run, pieces, strict=True)])
+    q = np.vstack([pieces[0][:1], *(piece[1:] for piece in pieces)])
+    # Coincident points make steps without length: one of each pair is enough.
+    moving = np.append(True, np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-9)
+    q, owner = q[moving], owner[moving[1:]]
+    if len(q) < 2:
+        return rest(way.states[first]), np.full(2, run[0])
+    timed = time_path(arm, q, limits)
+    return timed, owner[np.clip(timed.path.astype(int), 0, len(owner) - 1)]
+
+
+def _time_leg(arm: ArmModel, leg: Array, limits: Limits) -> Timed:
+    return time_line(leg[0], leg[1], limits) if len(leg) == 2 else time_path(arm, leg, limits)
+
+
+def _joined(legs: list[Timed]) -> Timed:
+    """Joins motions that each begin where the one before ends, at rest."""
+    times, positions, velocities, path = (
+        [legs[0].times],
+        [legs[0].positions],
+        [legs[0].velocities],
+        [legs[0].path],
+    )
+    for leg in legs[1:]:
+        times.append(leg.times[1:] + times[-1][-1])
+        positions.append(leg.positions[1:])
+        velocities.append(leg.velocities[1:])
+        path.append(leg.path[1:])
+    return Timed(
+        np.concatenate(times), np.vstack(positions), np.vstack(velocities), np.concatenate(path)
+    )
+
+
+def _segment(arm: ArmModel, kind: int, timed: Timed, points: NDArray[np.int64]) -> Segment:
+    return Segment(
+        kind,
+        timed.times,
+        timed.positions,
+        timed.velocities,
+        points,
+        tcp_length(arm, timed.positions),
+    )

@@ -1,0 +1,73 @@
+"""Trajectories, as the rooms exchange them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.stations.model import SkippedPoint
+from skinplan.transforms import Array
+
+TRANSIT = 0
+SCAN = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Segment:
+    """A continuous piece of motion.
+
+    Attributes:
+        kind: TRANSIT or SCAN.
+        times: From the segment's start, strictly rising from 0, shape (t,) [s].
+        positions: Joint positions, shape (t, 6) [rad]; linear between samples.
+        velocities: Joint velocities, shape (t, 6) [rad/s].
+        points: Indices of the scan path points passed, in the order of visit; empty for TRANSIT.
+        tcp_path_m: Length of the scanner's way [m].
+    """
+
+    kind: int
+    times: Array
+    positions: Array
+    velocities: Array
+    points: NDArray[np.int64]
+    tcp_path_m: float
+
+    @property
+    def duration_s(self) -> float:
+        """Duration [s]."""
+        return float(self.times[-1]) if len(self.times) else 0.0
+
+
+@dataclass(frozen=True)
+class StationTrajectory:
+    """Everything that the arm does at one station, from the start state asked for to home.
+
+    Attributes:
+        station_id: Number of the station.
+        segments: In the order of execution; each begins where the one before ends.
+        skipped: Points of this station that are not scanned, with the reason.
+    """
+
+    station_id: int
+    segments: tuple[Segment, ...]
+    skipped: tuple[SkippedPoint, ...]
+
+    @property
+    def scan_s(self) -> float:
+        """Sum of the scan segments' durations [s]."""
+        return sum(s.duration_s for s in self.segments if s.kind == SCAN)
+
+    @property
+    def transit_s(self) -> float:
+        """Sum of the transit segments' durations [s]."""
+        return sum(s.duration_s for s in self.segments if s.kind == TRANSIT)
+
+    @property
+    def breaks(self) -> int:
+        """Number of interruptions of the scan."""
+        return max(0, sum(s.kind == SCAN for s in self.segments) - 1)
+
+    @property
+    def tcp_path_m(self) -> float:
+        """Length of the scanner's way while scanning [m]."""
+        return sum(s.tcp_path_m for s in self.segments if s.kind == SCAN)

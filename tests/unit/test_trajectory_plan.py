@@ -1,0 +1,253 @@
+import dataclasses
+
+import numpy as np
+import pytest
+
+from meshes import grid
+from reach_scene import flat_panel, flat_path, in_arm_base, path_of, problems, upright
+from skinplan.errors import (
+    CancelledError,
+    InputError,
+    JointsInvalidError,
+    NoTrajectoryError,
+    ScanPathInvalidError,
+    StartStateError,
+    StrategyUnknownError,
+)
+from skinplan.mesh.check import check_mesh
+from skinplan.mesh.load import load_mesh
+from skinplan.mesh.segment import segment_mesh
+from skinplan.part.defaults import default_placement
+from skinplan.part.model import ScanSettings
+from skinplan.part.samples import write_sample
+from skinplan.robot.cell import CellConfig
+from skinplan.scan_path.model import FEATURE
+from skinplan.scan_path.plan import plan_scan_path
+from skinplan.stations.plan import plan_stations
+from skinplan.trajectory.cycle import cycle_time
+from skinplan.trajectory.model import SCAN as SCANNING
+from skinplan.trajectory.model import TRANSIT
+from skinplan.trajectory.plan import plan_station_trajectory, plan_trajectories
+from skinplan.transforms import planar
+
+CELL = CellConfig()
+SCAN = ScanSettings()
+PATH = flat_path(1.0, 0.6, 0.1)
+PANEL = flat_panel(1.0, 0.6)
+STAND = planar(0.0, -0.9, 0.0)
+T = in_arm_base(CELL, STAND, upright(0.6))
+ALL = np.arange(len(PATH))
+
+
+def plan(path=PATH, points=ALL, T=T, mesh=PANEL, settings=SCAN, cell=CELL, **more):
+    return plan_station_trajectory(path, points, T, mesh, settings, cell, **more)
+
+
+def scanned(trajectory):
+    return np.concatenate([s.points for s in trajectory.segments])
+
+
+def test_a_flat_panel_is_scanned_whole_and_nothing_is_wrong_with_it():
+    found = plan()
+    assert problems(found, PATH, T, PANEL, SCAN, CELL) == []
+    assert sorted(scanned(found)) == ALL.tolist() and not found.skipped
+    assert found.breaks == 0
+    kinds = [s.kind for s in found.segments]
+    assert kinds == [TRANSIT, SCANNING, TRANSIT]
+    assert all(len(s.points) == 0 for s in found.segments if s.kind == TRANSIT)
+
+
+def test_rows_are_driven_near_the_speed_limit():
+    found = plan()
+    length = np.linalg.norm(np.diff(PATH.positions[scanned(found)], axis=0), axis=1).sum()
+    assert found.scan_s < 1.35 * length / SCAN.tcp_speed_m_s
+    assert found.tcp_path_m == pytest.approx(length, rel=0.05)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_after_the_base_has_stopped_beside_its_goal_it_is_fine_too(seed):
+    rng = np.random.default_rng(seed)
+    angle = rng.uniform(0, 2 * np.pi)
+    error = planar(0.1 * np.cos(angle), 0.1 * np.sin(angle), rng.choice([-1, 1]) * np.radians(1.0))
+    beside = in_arm_base(CELL, STAND @ error, upright(0.6))
+    found = plan(T=beside)
+    assert problems(found, PATH, beside, PANEL, SCAN, CELL) == []
+    assert len(found.skipped) == 0
+
+
+def steep_bump():
+    def height(x, y):
+        r = np.hypot(x, y)
+        return 0.08 * np.clip((0.22 - r) / 0.05, 0.0, 1.0)
+
+    mesh = grid(1.0, 0.6, 0.01, height)
+    angle = np.linspace(0, 2 * np.pi, 12, endpoint=False)
+    side = np.stack([np.cos(angle), np.sin(angle), np.full(12, 0.9)], axis=1)
+    side /= np.linalg.norm(side, axis=1, keepdims=True)
+    targets = np.stack([0.2 * np.cos(angle), 0.2 * np.sin(angle), np.full(12, 0.04)], axis=1)
+    rows = [i for i in ALL if np.hypot(*PATH.targets[i, :2]) > 0.3]
+    path = path_of(
+        np.vstack([PATH.targets[rows], targets]),
+        np.vstack([PATH.directions[rows], -side]),
+        np.append(PATH.kinds[rows], np.full(12, FEATURE)),
+        np.append(PATH.groups[rows], np.ones(12)),
+    )
+    return mesh, path
+
+
+def test_a_bump_with_views_from_all_sides():
+    mesh, path = steep_bump()
+    found = plan(path, np.arange(len(path)), mesh=mesh)
+    assert problems(found, path, T, mesh, SCAN, CELL) == []
+    assert sorted([*scanned(found), *(s.point for s in found.skipped)]) == list(range(len(path)))
+    assert len(found.skipped) <= 2
+
+
+def test_single_points_are_looked_at_for_a_moment():
+    far_apart = np.array([0, 10])
+    found = plan(points=far_apart)
+    assert sorted(scanned(found)) == far_apart.tolist()
+    alone = plan(points=np.array([37]))
+    assert problems(alone, PATH, T, PANEL, SCAN, CELL) == []
+    segment = next(s for s in alone.segments if s.kind == SCANNING)
+    assert segment.duration_s >= 0.1 and segment.points.tolist() == [37]
+
+
+def test_points_out_of_reach_are_skipped_with_a_reason_and_the_rest_is_scanned():
+    path, panel = flat_path(3.0, 0.4, 0.2), flat_panel(3.0, 0.4)
+    there = in_arm_base(CELL, STAND, upright(0.4))
+    found = plan(path, np.arange(len(path)), there, panel)
+    assert problems(found, path, there, panel, SCAN, CELL) == []
+    skipped = {s.point: s.reason for s in found.skipped}
+    assert {p for p in range(len(path)) if abs(path.positions[p, 0]) > 1.2} <= set(skipped)
+    assert all(skipped.values())
+    assert sorted([*scanned(found), *skipped]) == list(range(len(path)))
+
+
+def test_it_begins_where_the_arm_is():
+    start = np.array(CELL.home_rad) + [0.3, 0.1, -0.2, 0.1, 0.0, 0.4]
+    found = plan(start=start)
+    assert problems(found, PATH, T, PANEL, SCAN, CELL, start) == []
+
+
+def test_the_same_question_has_the_same_answer():
+    mesh, path = steep_bump()
+    a, b = (plan(path, np.arange(len(path)), mesh=mesh) for _ in range(2))
+    assert len(a.segments) == len(b.segments)
+    for first, second in zip(a.segments, b.segments, strict=True):
+        assert np.array_equal(first.positions, second.positions)
+        assert np.array_equal(first.times, second.times)
+
+
+def test_a_start_in_collision_or_out_of_limits_is_refused():
+    into_the_part = np.array([np.pi / 2, 0.0, 0.0, 0.0, 0.0, 0.0])
+    with pytest.raises(StartStateError, match="collision"):
+        plan(start=into_the_part)
+    with pytest.raises(StartStateError, match="limits"):
+        plan(start=np.array([7.0, -2.4, 2.1, 0.3, 1.4, 0.0]))
+    with pytest.raises(JointsInvalidError):
+        plan(start=np.zeros(5))
+    with pytest.raises(JointsInvalidError):
+        plan(start=np.full(6, np.nan))
+
+
+def test_nothing_to_scan_is_an_error_that_says_why():
+    away = in_arm_base(CELL, planar(0.0, -4.0, 0.0), upright(0.6))
+    with pytest.raises(NoTrajectoryError, match="no inverse kinematics"):
+        plan(T=away)
+    with pytest.raises(NoTrajectoryError, match="no points"):
+        plan(points=np.zeros(0, dtype=int))
+
+
+def test_an_obstacle_that_closes_the_way_leaves_points_out_but_no_motion_unchecked():
+    """A second skin between arm and part."""
+    wall = grid(1.0, 0.6, 0.05)
+    both = dataclasses.replace(
+        PANEL,
+        vertices=np.vstack([PANEL.vertices, wall.vertices + [0.0, 0.0, 0.33]]),
+        faces=np.vstack([PANEL.faces, wall.faces + len(PANEL.vertices)]),
+    )
+    with pytest.raises(NoTrajectoryError):
+        plan(mesh=both)
+
+
+def test_bad_requests_are_refused():
+    with pytest.raises(ScanPathInvalidError, match="0.."):
+        plan(points=np.array([0, len(PATH)]))
+    with pytest.raises(StrategyUnknownError, match="published"):
+        plan(settings=dataclasses.replace(SCAN, order_strategy="random"))
+    with pytest.raises(InputError, match="T_arm_base_workpiece"):
+        plan(T=np.full((4, 4), np.nan))
+
+
+def test_it_tells_how_far_it_is_and_stops_when_asked():
+    told = []
+    plan(progress=lambda share, text: told.append((share, text)))
+    assert [s for s, _ in told] == sorted(s for s, _ in told) and told[-1][0] == 1.0
+    with pytest.raises(CancelledError):
+        plan(is_cancelled=lambda: True)
+
+
+def test_a_scanner_beside_the_tool_axis_is_driven_too():
+    aside = CELL.T_tool0_scanner.copy()
+    aside[:3, 3] += (0.05, 0.0, 0.0)
+    cell = dataclasses.replace(CELL, T_tool0_scanner=aside)
+    points = ALL[(np.abs(PATH.positions[:, 0]) < 0.25) & (np.abs(PATH.positions[:, 1]) < 0.15)]
+    found = plan(points=points, cell=cell)
+    assert problems(found, PATH, T, PANEL, SCAN, cell) == []
+    assert sorted(scanned(found)) == points.tolist()
+
+
+def whole(part_mesh, path, T_map_workpiece, scan):
+    stations = plan_stations(path, T_map_workpiece, part_mesh, scan, CELL)
+    found = plan_trajectories(path, stations, T_map_workpiece, part_mesh, scan, CELL)
+    for station, trajectory in zip(stations.stations, found, strict=True):
+        there = in_arm_base(CELL, station.T_map_base_link, T_map_workpiece)
+        assert problems(trajectory, path, there, part_mesh, scan, CELL) == []
+        assert trajectory.station_id == station.id
+        given = [*scanned(trajectory), *(s.point for s in trajectory.skipped)]
+        assert sorted(given) == station.points.tolist()
+    return stations, found
+
+
+def test_the_hardest_scene_is_driven_without_violation(tmp_path):
+    part = write_sample("scene4", tmp_path)
+    mesh, _ = check_mesh(load_mesh(part.mesh_path, part.unit))
+    path = plan_scan_path(mesh, segment_mesh(mesh), part.scan)
+    stations, found = whole(mesh, path, part.T_map_workpiece, part.scan)
+    assert sum(len(t.skipped) for t in found) <= 0.02 * len(path)
+    cycle = cycle_time(stations, found, CELL, part.scan, path)
+    assert 200.0 < cycle.cycle_s < 400.0
+    assert cycle.lower_bound_s < cycle.scan_s
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", ["scene1", "scene2", "scene3"])
+def test_the_other_scenes_are_driven_without_violation(tmp_path, name):
+    part = write_sample(name, tmp_path)
+    mesh, _ = check_mesh(load_mesh(part.mesh_path, part.unit))
+    path = plan_scan_path(mesh, segment_mesh(mesh), part.scan)
+    _, found = whole(mesh, path, part.T_map_workpiece, part.scan)
+    assert sum(len(t.skipped) for t in found) <= 0.02 * len(path)
+
+
+@pytest.mark.parametrize("name", ["crm_fuselage_side_2.9x0.8", "d150_nose_rippled_1.8x0.8"])
+def test_real_panels_are_driven_without_violation(shared_data, name):
+    mesh, _ = check_mesh(load_mesh(shared_data / "panels" / f"{name}.stl", "m"))
+    path = plan_scan_path(mesh, segment_mesh(mesh), SCAN)
+    _, found = whole(mesh, path, default_placement(mesh.bounds), SCAN)
+    assert sum(len(t.skipped) for t in found) <= 0.05 * len(path)
+
+
+def test_cycle_time_adds_up():
+    path, panel = flat_path(2.0, 0.4, 0.2), flat_panel(2.0, 0.4)
+    stations = plan_stations(path, upright(0.4), panel, SCAN, CELL)
+    found = plan_trajectories(path, stations, upright(0.4), panel, SCAN, CELL)
+    cycle = cycle_time(stations, found, CELL, SCAN, path)
+    places = np.array([s.T_map_base_link[:3, 3] for s in stations.stations])
+    way = np.linalg.norm(np.diff(places, axis=0), axis=1).sum()
+    assert cycle.base_s == pytest.approx(way / CELL.base_speed_m_s + len(places) * CELL.settle_s)
+    assert cycle.cycle_s == pytest.approx(cycle.scan_s + cycle.transit_s + cycle.base_s)
+    # Three rows of 2 m, each cut once between the two stations (0.2 m).
+    assert cycle.lower_bound_s == pytest.approx(3 * 2.0 / SCAN.tcp_speed_m_s)
+    assert cycle.breaks == sum(t.breaks for t in found)
