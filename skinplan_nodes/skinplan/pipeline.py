@@ -180,7 +180,7 @@ def plan_part(
             is_cancelled=is_cancelled,
         ),
     )
-    cycle = cycle_time(station_plan, trajectories, cell, scan)
+    cycle = cycle_time(station_plan, trajectories, cell, scan, path)
     return Plan(
         part, prepared, path, coverage, station_plan, trajectories, cycle, dict(stages.planning_s)
     )
