@@ -75,6 +75,11 @@ class Paths:
         version = f"python{sys.version_info.major}.{sys.version_info.minor}"
         return self.venv / "lib" / version / "site-packages"
 
+    @property
+    def hook_settings(self) -> Path:
+        """Settings of the start-up hook."""
+        return self.site_packages / "_skinplan_environment.json"
+
 
 def tool_environment(environ: Mapping[str, str], paths: Paths, ros: Ros) -> dict[str, str]:
     """Make the environment of the tools.

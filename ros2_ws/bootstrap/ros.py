@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import sys
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -68,6 +69,29 @@ def find_ros(environ: Mapping[str, str], venv: Path) -> Ros:
         library_paths=_paths(environ, "LD_LIBRARY_PATH", venv),
         python_paths=tuple(p for p in modules if any(p.is_relative_to(x) for x in prefixes)),
     )
+
+
+def remembered_ros(settings: Path, venv: Path) -> Ros:
+    """Find the installation that the virtual environment was set up with.
+
+    Without this, ``make demo`` in a shell where nothing is sourced would set all up anew with
+    the wheels.
+
+    Args:
+        settings: The settings file of the start-up hook.
+        venv: The virtual environment of the work tree.
+
+    Returns:
+        The installation; without prefixes when there was none or it is gone.
+    """
+    try:
+        found = json.loads(settings.read_text(encoding="utf-8"))
+        names = ("prefixes", "library_paths", "python_paths")
+        groups = [[Path(path) for path in found[name]] for name in names]
+    except (OSError, ValueError, KeyError, TypeError):
+        return Ros()
+    ros = Ros(*(tuple(p for p in group if not p.is_relative_to(venv)) for group in groups))
+    return ros if any(has_package(prefix, "rclpy") for prefix in ros.prefixes) else Ros()
 
 
 def has_package(prefix: Path, package: str) -> bool:

@@ -17,7 +17,7 @@ from bootstrap import wheels, workspace
 from bootstrap.nodes import install_nodes
 from bootstrap.paths import Paths, tool_environment
 from bootstrap.process import SetupError, exclusive, run_tool, stop_orphans
-from bootstrap.ros import check_ros_python, find_ros
+from bootstrap.ros import check_ros_python, find_ros, remembered_ros
 from bootstrap.state import State, hash_of
 from bootstrap.toolchain import require_tools
 
@@ -95,6 +95,8 @@ class Setup:
         """
         self._paths = paths
         self._ros = find_ros(os.environ, paths.venv)
+        if not self._ros.is_system:
+            self._ros = remembered_ros(paths.hook_settings, paths.venv)
         if self._ros.is_system:
             check_ros_python(self._ros)
         lock = "lock-system-ros.txt" if self._ros.is_system else "lock-wheels.txt"
@@ -180,7 +182,9 @@ class Setup:
         pip += ["--use-pep517"]
         for lock in self._locks:
             command = [*pip, "--require-hashes", "-r", lock]
-            self._tool(command, f"installing {lock.relative_to(self._paths.root)}")
+            what = f"installing {lock.relative_to(self._paths.root)}"
+            # Modules of a sourced installation must not count as installed here.
+            self._tool(command, what, PYTHONPATH="")
         # What is no longer in the lock would hide that something still needs it.
         unlocked = packages_not_locked(self._paths.site_packages, self._locks)
         if unlocked:
@@ -197,7 +201,7 @@ class Setup:
             "python_paths": [str(path) for path in ros.python_paths],
         }
         text = json.dumps(settings, indent=1)
-        (folder / "_skinplan_environment.json").write_text(text, encoding="utf-8")
+        paths.hook_settings.write_text(text, encoding="utf-8")
         shutil.copyfile(HERE / "environment_hook.py", folder / "_skinplan_environment.py")
         # The name sorts before the wheels' hook, which must see what this one has repaired.
         pth = folder / "_skinplan_environment.pth"
@@ -220,6 +224,6 @@ class Setup:
     def _check_imports(self) -> None:
         self._tool([self._paths.python, "-c", _IMPORTS], "importing all libraries in one process")
 
-    def _tool(self, command: Sequence[str | Path], what: str) -> str:
-        env = tool_environment(os.environ, self._paths, self._ros)
+    def _tool(self, command: Sequence[str | Path], what: str, **variables: str) -> str:
+        env = tool_environment(os.environ, self._paths, self._ros) | variables
         return run_tool(command, cwd=self._paths.root, env=env, log=self._paths.log, what=what)

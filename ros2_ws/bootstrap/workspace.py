@@ -100,6 +100,9 @@ def build_interfaces(
         SetupError: A package is not valid or does not build.
     """
     folder = paths.workspace
+    # The wheels bring colcon; beside a full installation it is a package of its own.
+    package = "python3-colcon-common-extensions"
+    run([paths.python, "-c", "import colcon_core"], f"looking for colcon (package {package})")
     colcon = [paths.python, "-m", "colcon", "--log-base", folder / "log"]
     bases = ["--base-paths", folder / "src", *(folder / "stand_ins" / name for name in stand_ins)]
     listing = run([*colcon, "list", *bases], "colcon list")
