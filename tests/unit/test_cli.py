@@ -1,4 +1,4 @@
-"""The command: what it prints, and how it refuses bad input (exit code 2, one sentence, no traceback)."""
+"""The command: what it prints, how it refuses bad input (code 2, one sentence, no traceback)."""
 
 import json
 

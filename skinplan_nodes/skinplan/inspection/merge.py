@@ -94,6 +94,11 @@ class MergedCloud:
         self._merge()
         return len(self._points)
 
+    @property
+    def about(self) -> int:
+        """Number of points, cheap: those of the last frames are counted before they are merged."""
+        return len(self._points) + self._waiting
+
     def _merge(self) -> None:
         if not self._pending:
             return

@@ -1,0 +1,1 @@
+"""The ROS nodes of skinplan: each translates, calls one object of the library, replies."""

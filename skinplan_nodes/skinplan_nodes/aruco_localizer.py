@@ -1,0 +1,264 @@
+"""Node ``aruco_localizer``: finds the part by its markers, with the approach-retry loop of M1.2."""
+
+import math
+import sys
+import threading
+from collections.abc import Callable, Sequence
+from typing import Any
+
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.timer import Timer
+from sensor_msgs.msg import CameraInfo, Image
+from skinplan_msgs import msg as messages
+from skinplan_msgs.action import LocalizePart
+from skinplan_msgs.msg import Status
+from tf2_msgs.msg import TFMessage
+
+from skinplan.localization.model import Observation
+from skinplan.part.model import Part
+from skinplan.transforms import Array
+from skinplan_nodes.approach_loop import ApproachLoop, ApproachSettings, Estimate
+from skinplan_nodes.base_driver import BaseDriver
+from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames, View
+from skinplan_nodes.conversions import (
+    LocatedPart,
+    observations_to_msg,
+    part_pose_to_msg,
+    pose_stamped_to_msg,
+    transform_stamped_to_msg,
+)
+from skinplan_nodes.node import CellNode
+from skinplan_nodes.offload import in_thread
+from skinplan_nodes.parameters import CELL_FILE, Parameter, load
+from skinplan_nodes.part_cache import PartCache
+from skinplan_nodes.planning import configured_cell
+from skinplan_nodes.qos import IMAGE, LATCHED, SENSOR, STATE, STATIC_TF
+from skinplan_nodes.replies import RefusedError, log_error, ok, status_of
+from skinplan_nodes.run import run_node
+
+_UNKNOWN = float("nan")
+
+
+class GoalCell:
+    """The cell as one goal of the localiser sees it.
+
+    Args:
+        node: The node.
+        handle: The goal.
+    """
+
+    def __init__(self, node: "ArucoLocalizer", handle: ServerGoalHandle) -> None:
+        self._node = node
+        self._handle = handle
+        # An image from before the goal, or before the end of a drive, may show another place: on a
+        # busy machine the news that the base has moved can come later than that image.
+        self._not_before_s = node.now_s()
+
+    def look(self, after_s: float, is_cancelled: Callable[[], bool]) -> View:
+        """Waits for a new image."""
+        return self._node.feed.look(max(after_s, self._not_before_s), is_cancelled)
+
+    def lookup(self, target: str, source: str) -> Array:
+        """Returns ``T_target_source``."""
+        return self._node.frames.lookup(target, source)
+
+    def drive(self, T_map_base_link: Array, is_cancelled: Callable[[], bool]) -> bool:
+        """Drives the base; False = cancelled."""
+        arrived = self._node.base.drive(T_map_base_link, is_cancelled)
+        self._not_before_s = self._node.now_s()
+        return arrived
+
+    def seen(self, observations: Sequence[Observation], view: View) -> None:
+        """Publishes what was seen."""
+        self._node.publish_observations(observations, view)
+
+    def told(self, estimate: Estimate) -> None:
+        """Sends the estimate as feedback."""
+        feedback = LocalizePart.Feedback(phase=estimate.phase, attempt=estimate.attempt)
+        pose = estimate.pose
+        feedback.quality = estimate.quality
+        feedback.distance = _UNKNOWN if pose is None else pose.distance_m
+        feedback.angle = _UNKNOWN if pose is None else pose.angle_rad
+        self._handle.publish_feedback(feedback)
+
+
+class ArucoLocalizer(CellNode):
+    """Serves the action ``localize_part``; publishes observations, part pose and its frames."""
+
+    NAME = "aruco_localizer"
+    PARAMETERS = (
+        CELL_FILE,
+        Parameter("settle_s", 0.5, "Rest of the base before an image counts [s].", 0.0, 60.0),
+        Parameter(
+            "image_timeout_s",
+            5.0,
+            "Longest wait for an image, on the cell's clock [s].",
+            0.1,
+            600.0,
+        ),
+        Parameter(
+            "wall_timeout_s", 30.0, "Longest wait for an image on wall time [s].", 0.1, 3600.0
+        ),
+        Parameter(
+            "drive_timeout_s", 300.0, "Longest drive of the base on wall time [s].", 1.0, 3600.0
+        ),
+        Parameter("max_misses", 3, "Estimates in a row without a pose, at most [1].", 1, 100),
+        Parameter(
+            "quality_threshold", 0.0, "T_E of eq (3) [1]; 0 = the one of the cell file.", 0.0, 1.0
+        ),
+        Parameter("max_attempts", 0, "Estimates at most [1]; 0 = as the cell file says.", 0, 1000),
+        Parameter("tf_rate_hz", 2.0, "Rate of map to workpiece on tf [Hz].", 0.1, 50.0),
+    )
+
+    def __init__(self, **kwargs: Any) -> None:
+        super().__init__(**kwargs)
+        self._cell = configured_cell(self.values.cell_file)
+        self._parts = PartCache()
+        self.frames = Frames()
+        self.feed = CameraFeed(self.frames, self.now_s, load(self.values, FeedSettings))
+        self.base = BaseDriver(self, self.values.drive_timeout_s)
+        self._busy = threading.Lock()
+        self._T_map_workpiece: Array | None = None
+        self._make_publishers()
+        self._make_subscriptions()
+        self._server = ActionServer(
+            self,
+            LocalizePart,
+            "localize_part",
+            execute_callback=self._on_execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    def publish_observations(self, observations: Sequence[Observation], view: View) -> None:
+        """Publishes the markers of one image; an empty list, too."""
+        self._observations.publish(
+            observations_to_msg(observations, view.frame, view.stamp_s, view.age_s)
+        )
+
+    def _make_publishers(self) -> None:
+        self._observations = self.create_publisher(
+            messages.MarkerObservations, "markers/observations", STATE
+        )
+        self._part_pose = self.create_publisher(messages.PartPose, "part_pose", LATCHED)
+        self._tf = self.create_publisher(TFMessage, "tf", STATE)
+        self._tf_static = self.create_publisher(TFMessage, "tf_static", STATIC_TF)
+        self._tf_timer: Timer = self.create_timer(1.0 / self.values.tf_rate_hz, self._publish_frame)
+
+    def _make_subscriptions(self) -> None:
+        camera, moving = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
+        self.create_subscription(
+            Image, "camera/color/image_raw", self.feed.take_image, IMAGE, callback_group=camera
+        )
+        self.create_subscription(
+            CameraInfo, "camera/color/camera_info", self.feed.take_info, SENSOR,
+            callback_group=camera,
+        )  # fmt: skip
+        self.create_subscription(TFMessage, "tf", self._on_tf, STATE, callback_group=moving)
+        self.create_subscription(
+            TFMessage, "tf_static", self._on_tf, STATIC_TF, callback_group=moving
+        )
+
+    def _on_tf(self, msg: TFMessage) -> None:
+        for reason in self.frames.take(msg):
+            self.get_logger().warning(f"tf: {reason}", throttle_duration_sec=5.0)
+
+    def _on_goal(self, _: LocalizePart.Goal) -> GoalResponse:
+        # What is wrong with a goal is said in its result; a second one has to wait for the first.
+        if self._busy.acquire(blocking=False):
+            return GoalResponse.ACCEPT
+        self.get_logger().warning("localize_part: refused, another goal is being worked on")
+        return GoalResponse.REJECT
+
+    async def _on_execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
+        # Images, tf, the navigator's answers and a cancel go on meanwhile.
+        result: LocalizePart.Result = await in_thread(self, lambda: self._execute(handle))
+        return result
+
+    def _execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
+        result = LocalizePart.Result()
+        try:
+            self._localize(handle, result)
+            result.status = ok()
+            handle.succeed()
+        # rclpy would answer with a result of zeros: nothing may pass.
+        except Exception as error:
+            log_error(self.get_logger(), "localize_part", error)
+            result.status = status_of(error, Status.PART_INVALID)
+            was_cancelled = result.status.code == Status.LOCALIZATION_CANCELLED
+            self.set_health("ok" if was_cancelled else "warning", result.status.message)
+            if was_cancelled and handle.is_cancel_requested:
+                handle.canceled()
+            else:
+                handle.abort()
+        finally:
+            self._busy.release()
+        return result
+
+    def _localize(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
+        part = self._parts.part(handle.request.part)
+        loop = ApproachLoop(
+            GoalCell(self, handle),
+            self._cell,
+            part.fixture,
+            self._approach_settings(handle.request),
+            lambda: handle.is_cancel_requested or self.ended(),
+        )
+        try:
+            estimate = loop.run()
+        finally:
+            result.attempts, result.quality = loop.attempts, loop.best_quality
+        self._publish_result(part, estimate, result)
+        self.set_health(
+            "ok", f"located {part.id}", quality=f"{result.quality:.3f}", attempts=loop.attempts
+        )
+
+    def _approach_settings(self, goal: LocalizePart.Goal) -> ApproachSettings:
+        threshold = goal.quality_threshold
+        if not (math.isfinite(threshold) and 0.0 <= threshold <= 1.0):
+            raise RefusedError(
+                Status.QUALITY_NOT_REACHED,
+                f"quality_threshold {threshold:g} was asked for; 0 to 1 is accepted",
+            )
+        quality = self._cell.quality
+        return ApproachSettings(
+            threshold or self.values.quality_threshold or quality.threshold,
+            goal.max_attempts or self.values.max_attempts or quality.max_attempts,
+            self.values.max_misses,
+            goal.may_move,
+        )
+
+    def _publish_result(self, part: Part, estimate: Estimate, result: LocalizePart.Result) -> None:
+        assert estimate.pose is not None
+        T_arm_base_camera = self.frames.lookup("arm_base", estimate.frame)
+        located = LocatedPart.from_camera(estimate.pose, T_arm_base_camera, estimate.stamp_s)
+        self._T_map_workpiece = self.frames.lookup("map", "arm_base") @ located.T_arm_base_workpiece
+        result.part_pose = part_pose_to_msg(located)
+        result.map_pose = pose_stamped_to_msg(self._T_map_workpiece, "map", estimate.stamp_s)
+        result.quality = located.quality
+        self._part_pose.publish(result.part_pose)
+        fixture = part.fixture
+        edges = [("workpiece", "fixture", fixture.T_workpiece_fixture)]
+        edges += [("fixture", f"marker_{m.id}", m.T_fixture_marker) for m in fixture.markers]
+        self._tf_static.publish(
+            TFMessage(transforms=[transform_stamped_to_msg(*edge, self.now_s()) for edge in edges])
+        )
+        self._publish_frame()
+
+    def _publish_frame(self) -> None:
+        pose = self._T_map_workpiece
+        if pose is not None:
+            edge = transform_stamped_to_msg("map", "workpiece", pose, self.now_s())
+            self._tf.publish(TFMessage(transforms=[edge]))
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the program."""
+    return run_node(ArucoLocalizer, arguments)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

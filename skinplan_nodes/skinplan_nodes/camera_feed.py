@@ -1,0 +1,215 @@
+"""The newest image of a camera, and whether the base has moved since."""
+
+import math
+import threading
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from sensor_msgs.msg import CameraInfo, Image
+from skinplan_msgs.msg import Status
+from tf2_msgs.msg import TFMessage
+
+from skinplan.errors import InputError, LocalizationError
+from skinplan.localization.frames import TransformTree
+from skinplan.localization.model import CameraModel
+from skinplan.transforms import Array, difference
+from skinplan_nodes.conversions import (
+    camera_info_from_msg,
+    image_from_msg,
+    stamp_from_msg,
+    transform_stamped_from_msg,
+)
+from skinplan_nodes.replies import RefusedError
+
+# Smaller differences between two poses of the base are noise of its odometry.
+_STILL_M = 2e-4
+_STILL_RAD = 2e-4
+_POLL_S = 0.05
+
+
+@dataclass(frozen=True)
+class FeedSettings:
+    """When an image is good enough to be used.
+
+    Attributes:
+        settle_s: It must have been taken so long after the last motion of the base [s].
+        image_timeout_s: So long is waited for it, on the cell's clock [s].
+        wall_timeout_s: So long at most on wall time, for a cell whose clock stands [s].
+    """
+
+    settle_s: float = 0.5
+    image_timeout_s: float = 5.0
+    wall_timeout_s: float = 30.0
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One image with the camera that took it.
+
+    Attributes:
+        image: shape (h, w) grey or (h, w, 3) BGR.
+        camera: The camera.
+        frame: Its optical frame.
+        stamp_s: Time of the image [s].
+        age_s: How old it was when it was taken over [s].
+    """
+
+    image: NDArray[np.uint8]
+    camera: CameraModel
+    frame: str
+    stamp_s: float
+    age_s: float
+
+
+class Frames:
+    """The frame tree of ``tf`` and ``tf_static``, and when the base moved last."""
+
+    def __init__(self, base_frame: str = "base_link") -> None:
+        self._base_frame = base_frame
+        self._tree = TransformTree()
+        self._lock = threading.Lock()
+        self._base: Array | None = None
+        self._moved_s = 0.0
+        self._known_s = math.inf
+
+    def take(self, msg: TFMessage) -> list[str]:
+        """Takes transforms in; returns why some of them can't be used."""
+        refused = []
+        for item in msg.transforms:
+            try:
+                parent, child, T_parent_child, stamp_s = transform_stamped_from_msg(item)
+                with self._lock:
+                    self._tree.set(parent, child, T_parent_child, stamp_s)
+                    if child == self._base_frame:
+                        self._watch(T_parent_child, stamp_s)
+            except InputError as error:
+                refused.append(str(error))
+        return refused
+
+    def lookup(self, target: str, source: str) -> Array:
+        """Returns ``T_target_source``, shape (4, 4) [m].
+
+        Raises:
+            RefusedError: NO_TRANSFORM.
+        """
+        try:
+            with self._lock:
+                return self._tree.lookup(target, source)
+        except LocalizationError as error:
+            raise RefusedError(Status.NO_TRANSFORM, str(error)) from error
+
+    @property
+    def moved_s(self) -> float:
+        """Time of the last pose of the base that differed from the one before [s]."""
+        with self._lock:
+            return self._moved_s
+
+    @property
+    def known_s(self) -> float:
+        """Time of the last pose of the base [s]; infinite = it has none that changes."""
+        with self._lock:
+            return self._known_s
+
+    def _watch(self, T_parent_base: Array, stamp_s: float) -> None:
+        self._known_s = stamp_s
+        if self._base is not None:
+            distance, angle = difference(self._base, T_parent_base)
+            if distance < _STILL_M and angle < _STILL_RAD:
+                return
+        self._base, self._moved_s = T_parent_base, stamp_s
+
+
+class CameraFeed:
+    """Holds the newest image and camera model; gives out an image that is new enough.
+
+    Args:
+        frames: Knows when the base moved.
+        now_s: The cell's clock [s].
+        settings: When an image is good enough.
+    """
+
+    def __init__(self, frames: Frames, now_s: Callable[[], float], settings: FeedSettings) -> None:
+        self._frames = frames
+        self._now_s = now_s
+        self._settings = settings
+        self._image: Image | None = None
+        self._info: CameraInfo | None = None
+        self._arrived = threading.Condition()
+
+    def take_image(self, msg: Image) -> None:
+        """Takes an image in."""
+        with self._arrived:
+            self._image = msg
+            self._arrived.notify_all()
+
+    def take_info(self, msg: CameraInfo) -> None:
+        """Takes a camera model in."""
+        with self._arrived:
+            self._info = msg
+            self._arrived.notify_all()
+
+    def look(self, after_s: float, is_cancelled: Callable[[], bool]) -> View:
+        """Waits for an image that was taken after a time and after the base has come to rest.
+
+        Args:
+            after_s: The image must be newer than this [s].
+            is_cancelled: Asked while waiting.
+
+        Raises:
+            RefusedError: NO_IMAGE, STALE_IMAGE or LOCALIZATION_CANCELLED.
+            ImageInvalidError: The image or the camera model can't be used.
+        """
+        begin_s, begin_wall = self._now_s(), time.monotonic()
+        with self._arrived:
+            while not self._fresh(after_s):
+                if is_cancelled():
+                    raise cancelled()
+                waited_s = self._now_s() - begin_s
+                if (
+                    waited_s > self._settings.image_timeout_s
+                    or time.monotonic() - begin_wall > self._settings.wall_timeout_s
+                ):
+                    raise self._missing(after_s)
+                self._arrived.wait(_POLL_S)
+            image, info = self._image, self._info
+        assert image is not None and info is not None
+        stamp_s = stamp_from_msg(image.header.stamp)
+        return View(
+            image_from_msg(image),
+            camera_info_from_msg(info),
+            image.header.frame_id,
+            stamp_s,
+            max(0.0, self._now_s() - stamp_s),
+        )
+
+    def _fresh(self, after_s: float) -> bool:
+        if self._image is None or self._info is None:
+            return False
+        stamp_s = stamp_from_msg(self._image.header.stamp)
+        if stamp_s <= after_s or stamp_s > self._frames.known_s:
+            return False
+        return stamp_s >= self._frames.moved_s + self._settings.settle_s
+
+    def _missing(self, after_s: float) -> RefusedError:
+        if self._image is None or self._info is None:
+            what = "image" if self._image is None else "camera info"
+            return RefusedError(
+                Status.NO_IMAGE,
+                f"an image was waited for {self._settings.image_timeout_s} s, but no {what} came; "
+                "a camera that publishes both is needed",
+            )
+        stamp_s = stamp_from_msg(self._image.header.stamp)
+        needed_s = max(after_s, self._frames.moved_s + self._settings.settle_s)
+        return RefusedError(
+            Status.STALE_IMAGE,
+            f"an image taken after {needed_s:.3f} s (the base moved until "
+            f"{self._frames.moved_s:.3f} s) was waited for, the newest one is of {stamp_s:.3f} s",
+        )
+
+
+def cancelled() -> RefusedError:
+    """Returns the error of a localisation that was cancelled."""
+    return RefusedError(Status.LOCALIZATION_CANCELLED, "the localisation was cancelled")

@@ -1,0 +1,95 @@
+"""Parts by reference, jobs and their states."""
+
+from collections.abc import Iterable, Mapping, Sequence
+
+from diagnostic_msgs.msg import KeyValue
+from skinplan_msgs import msg as messages
+
+from skinplan.errors import JobInvalidError
+from skinplan.jobs.model import Job, JobRecord, JobState
+from skinplan_nodes.conversions.geometry import header_to_msg, stamp_from_msg
+
+_STATES = {int(state) for state in JobState}
+
+
+def key_values_to_msg(items: Mapping[str, str] | Iterable[tuple[str, str]]) -> list[KeyValue]:
+    """Converts key/values."""
+    pairs = items.items() if isinstance(items, Mapping) else items
+    return [KeyValue(key=str(key), value=str(value)) for key, value in pairs]
+
+
+def key_values_from_msg(items: Sequence[KeyValue]) -> tuple[tuple[str, str], ...]:
+    """Returns key/values in their order."""
+    return tuple((item.key, item.value) for item in items)
+
+
+def job_to_msg(job: Job) -> messages.Job:
+    """Converts a job."""
+    return messages.Job(
+        job_id=job.job_id,
+        order_id=job.order_id,
+        serial_number=job.serial_number,
+        part=messages.PartReference(uri=job.part_uri, mesh_sha256=job.mesh_sha256),
+        operator_name=job.operator_name,
+        priority=job.priority,
+        attributes=key_values_to_msg(job.attributes),
+    )
+
+
+def job_from_msg(msg: messages.Job) -> Job:
+    """Returns a job, as it was sent: the store checks it."""
+    return Job(
+        job_id=msg.job_id,
+        part_uri=msg.part.uri,
+        mesh_sha256=msg.part.mesh_sha256,
+        order_id=msg.order_id,
+        serial_number=msg.serial_number,
+        operator_name=msg.operator_name,
+        priority=msg.priority,
+        attributes=key_values_from_msg(msg.attributes),
+    )
+
+
+def job_status_to_msg(record: JobRecord) -> messages.JobStatus:
+    """Converts how far a job is; the stamp is the time of the last change."""
+    return messages.JobStatus(
+        header=header_to_msg("", record.changed_ns * 1e-9),
+        job_id=record.job.job_id,
+        state=int(record.state),
+        sub_state=record.sub_state,
+        station=record.station,
+        station_count=record.station_count,
+        progress=float(record.progress),
+        time_left=float(record.time_left_s),
+        run_folder=record.run_folder,
+        status=messages.Status(code=record.error_code, message=record.error),
+    )
+
+
+def job_status_from_msg(msg: messages.JobStatus, job: Job | None = None) -> JobRecord:
+    """Returns how far a job is.
+
+    Args:
+        msg: The state.
+        job: The job; None = one with just the id, the message has no more.
+
+    Raises:
+        JobInvalidError: An unknown state.
+    """
+    if msg.state not in _STATES:
+        raise JobInvalidError(
+            f"job {msg.job_id!r}: the states {sorted(_STATES)} are accepted, found {msg.state}"
+        )
+    return JobRecord(
+        job=job or Job(msg.job_id, ""),
+        state=JobState(msg.state),
+        sub_state=msg.sub_state,
+        station=msg.station,
+        station_count=msg.station_count,
+        progress=msg.progress,
+        time_left_s=msg.time_left,
+        run_folder=msg.run_folder,
+        error_code=msg.status.code,
+        error=msg.status.message,
+        changed_ns=round(stamp_from_msg(msg.header.stamp) * 1e9),
+    )

@@ -1,0 +1,272 @@
+"""Hands in one job and follows it: the client of ``skinplan run``.
+
+Prints one event per change of the job; the last one is the result. An interrupt aborts the job. In
+a simulated cell it knows the truth, and adds to ``summary.json`` how far the localisations were
+from it.
+"""
+
+import argparse
+import json
+import logging
+import math
+import signal
+import sys
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import rclpy
+from geometry_msgs.msg import PoseStamped
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.signals import SignalHandlerOptions
+from skinplan_msgs.msg import Heartbeat, JobStatus, Status
+from skinplan_msgs.srv import JobCommand, JobSubmit
+
+from skinplan.errors import SkinplanError
+from skinplan.inspection.report import write_report
+from skinplan.jobs.model import Job, JobRecord, JobState
+from skinplan.jobs.states import is_over
+from skinplan.plan_record import write_json
+from skinplan.robot.cell_file import load_cell
+from skinplan_nodes.conversions import (
+    job_status_from_msg,
+    job_to_msg,
+    pose_stamped_from_msg,
+    stamp_from_msg,
+)
+from skinplan_nodes.qos import LATCHED, STATE
+from skinplan_nodes.truth import TruthLog
+
+_SUBMIT_S = 90.0
+_ANSWER_S = 10.0
+# The supervisor's heartbeat comes every second.
+_SILENT_S = 12.0
+_ABORT_S = 2.2
+_log = logging.getLogger(__name__)
+
+
+class MeasureClient(Node):
+    """Submits a job and follows its state.
+
+    Args:
+        truth: Takes the true poses of a simulated cell.
+        on_change: Called with every change of the job.
+        arguments: Node arguments of ROS.
+    """
+
+    def __init__(
+        self, truth: TruthLog, on_change: Callable[[JobRecord], None], namespace: str = ""
+    ) -> None:
+        super().__init__("measure", namespace=namespace)
+        self._truth = truth
+        self._on_change = on_change
+        self.job_id = ""
+        self.record: JobRecord | None = None
+        self.seen_s = math.inf
+        self.submit = self.create_client(JobSubmit, "jobs/submit")
+        self.command = self.create_client(JobCommand, "jobs/command")
+        self.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
+        self.create_subscription(Heartbeat, "heartbeat", self._on_heartbeat, STATE)
+        self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
+        self.create_subscription(
+            PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
+        )
+
+    def _on_status(self, message: JobStatus) -> None:
+        if message.job_id == self.job_id:
+            self.record = job_status_from_msg(message)
+            self._on_change(self.record)
+
+    def _on_heartbeat(self, message: Heartbeat) -> None:
+        if message.node.rsplit("/", 1)[-1] == "cell_supervisor":
+            self.seen_s = time.monotonic()
+
+    def _on_base_pose(self, message: PoseStamped) -> None:
+        pose = pose_stamped_from_msg(message, "map", "true pose of the base")
+        self._truth.base_stood(stamp_from_msg(message.header.stamp), pose)
+
+    def _on_workpiece_pose(self, message: PoseStamped) -> None:
+        self._truth.T_map_workpiece = pose_stamped_from_msg(message, "map", "true pose of the part")
+
+
+class Measurement:
+    """One job from its submission to its end.
+
+    Args:
+        job: The order.
+        truth: Takes the true poses.
+        on_change: Called with every change of the job.
+        namespace: Namespace of the cell.
+    """
+
+    def __init__(
+        self, job: Job, truth: TruthLog, on_change: Callable[[JobRecord], None], namespace: str = ""
+    ) -> None:
+        self._job = job
+        self._node = MeasureClient(truth, on_change, namespace)
+        self._node.job_id = job.job_id
+        self._executor = SingleThreadedExecutor()
+        self._executor.add_node(self._node)
+        self._asked_to_end = False
+
+    def interrupt(self) -> None:
+        """Asks for the end of the job; called by the signal handler."""
+        self._asked_to_end = True
+
+    def run(self) -> tuple[JobRecord | None, str]:
+        """Submits the job and waits for its end.
+
+        Returns:
+            The last state of the job, None when it was never taken; and one sentence when it did
+            not end well.
+        """
+        error = self._submit()
+        if error:
+            return None, error
+        while not self._over():
+            self._executor.spin_once(timeout_sec=0.1)
+            if self._asked_to_end:
+                self._abort()
+                break
+            if time.monotonic() - self._node.seen_s > _SILENT_S:
+                return self._node.record, "the cell supervisor was lost; nobody ends the job"
+        record = self._node.record
+        return record, record.error if record is not None else ""
+
+    def close(self) -> None:
+        """Leaves the graph."""
+        rclpy.try_shutdown()
+        self._node.destroy_node()
+
+    def _submit(self) -> str:
+        if not self._spin_until(self._node.submit.service_is_ready, _SUBMIT_S):
+            return (
+                f"nobody serves jobs/submit after {_SUBMIT_S:g} s"
+                if not self._asked_to_end
+                else "interrupted"
+            )
+        answer = self._node.submit.call_async(JobSubmit.Request(job=job_to_msg(self._job)))
+        if not self._spin_until(answer.done, _ANSWER_S):
+            return f"no answer of jobs/submit within {_ANSWER_S:g} s"
+        self._node.seen_s = time.monotonic()
+        status = answer.result().status
+        return "" if status.code == Status.OK else str(status.message)
+
+    def _abort(self) -> None:
+        request = JobCommand.Request(
+            job_id=self._job.job_id, command=JobCommand.Request.ABORT, reason="interrupted"
+        )
+        self._node.command.call_async(request)
+        self._asked_to_end = False
+        self._spin_until(self._over, _ABORT_S)
+
+    def _over(self) -> bool:
+        return self._node.record is not None and is_over(self._node.record.state)
+
+    def _spin_until(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        deadline = time.monotonic() + timeout_s
+        while not done():
+            self._executor.spin_once(timeout_sec=0.05)
+            if time.monotonic() > deadline or self._asked_to_end:
+                return done()
+        return True
+
+
+def judge(run_folder: Path, truth: TruthLog) -> None:
+    """Adds to a run's summary how far the localisations were from the truth, if that is known."""
+    path = run_folder / "summary.json"
+    if truth.T_map_workpiece is None or not path.is_file():
+        return
+    summary = json.loads(path.read_text(encoding="utf-8"))
+    entries = summary.get("localization", [])
+    summary["localization"] = [truth.judged(entry) for entry in entries]
+    write_json(path, summary)
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Entry point of the program.
+
+    Returns:
+        Exit code: 0 when the job ended well, 1 otherwise.
+    """
+    logging.basicConfig(
+        level=logging.INFO, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
+    )
+    given = _parser().parse_args(arguments)
+    cell = load_cell(Path(given.cell_file) if given.cell_file else None)
+    job = Job(given.job_id, given.part_uri, serial_number=given.serial_number)
+    truth = TruthLog(cell.T_base_link_arm_base)
+    rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    measurement = Measurement(
+        job, truth, lambda record: _emit(_status_event(record)), given.namespace
+    )
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, lambda *_: measurement.interrupt())
+    record, error = measurement.run()
+    measurement.close()
+    folder = Path(record.run_folder) if record is not None and record.run_folder else None
+    if folder is not None:
+        _complete(folder, truth, record is not None and record.state is JobState.ENDED)
+    _emit(_result_event(job, record, folder, error))
+    return 0 if record is not None and record.state is JobState.ENDED else 1
+
+
+def _complete(folder: Path, truth: TruthLog, ended: bool) -> None:
+    try:
+        judge(folder, truth)
+        if ended:
+            write_report(folder)
+    except (SkinplanError, OSError, ValueError, KeyError) as error:
+        _log.error("run %s: %s", folder, error)
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(prog="python -m skinplan_nodes.measure", description=__doc__)
+    parser.add_argument(
+        "--part-uri", required=True, help="absolute path or file:// URI of the part file"
+    )
+    parser.add_argument("--runs-folder", default="runs", help="not used: the cell knows its folder")
+    parser.add_argument("--job-id", required=True, help="id of the job")
+    parser.add_argument("--serial-number", default="", help="serial number of the individual part")
+    parser.add_argument("--cell-file", default="", help="cell file; empty = the default cell")
+    parser.add_argument("--namespace", default="", help="namespace of the cell's nodes")
+    parser.add_argument("--json-lines", action="store_true", help="events as JSON lines (always)")
+    return parser
+
+
+def _status_event(record: JobRecord) -> dict[str, Any]:
+    return {
+        "event": "status",
+        "job_id": record.job.job_id,
+        "state": record.state.title,
+        "sub_state": record.sub_state,
+        "station": record.station,
+        "station_count": record.station_count,
+        "progress": record.progress,
+        "time_left_s": record.time_left_s if math.isfinite(record.time_left_s) else None,
+    }
+
+
+def _result_event(
+    job: Job, record: JobRecord | None, folder: Path | None, error: str
+) -> dict[str, Any]:
+    return {
+        "event": "result",
+        "job_id": job.job_id,
+        "state": record.state.title
+        if record is not None and is_over(record.state)
+        else JobState.ABORTED.title,
+        "run_folder": str(folder) if folder is not None else "",
+        "error": error,
+    }
+
+
+def _emit(event: dict[str, Any]) -> None:
+    sys.stdout.write(json.dumps(event) + "\n")
+    sys.stdout.flush()
+
+
+if __name__ == "__main__":
+    sys.exit(main())

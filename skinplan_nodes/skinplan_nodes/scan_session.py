@@ -1,0 +1,251 @@
+"""What a scan has measured so far: the merged cloud, the coarse pose of the part, the coverage.
+
+Needs no ROS.
+"""
+
+import threading
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.errors import AlignmentError, NoCloudError
+from skinplan.inspection.cloud import write_ply
+from skinplan.inspection.coverage import CoverageSoFar
+from skinplan.inspection.measure import InspectionSettings, coverage_so_far, inspect
+from skinplan.inspection.merge import MergedCloud
+from skinplan.inspection.model import Inspection
+from skinplan.mesh.prepare import PreparedMesh
+from skinplan.scanner.samples import sample_surface
+from skinplan.transforms import Array, apply, inverse, rotate, transform
+
+# intensity, incidence, view direction x y z
+_COLUMNS = 5
+_FEWEST_PER_STAND = 3
+_MOST_PER_STAND = 400
+
+
+class CoarsePose:
+    """Where the part stands in the tracker frame, by the arm: good to some millimetres.
+
+    Each stand of the base gives ``T_tracker_scanner(t) @ T_scanner_arm_base(q(t)) @
+    T_arm_base_workpiece`` for many times t; the median over them, and over the stands, is not moved
+    by a few bad ones.
+    """
+
+    def __init__(self) -> None:
+        self._stands: dict[float, list[Array]] = {}
+
+    def add(self, stand: float, T_tracker_workpiece: Array) -> None:
+        """Takes an estimate in.
+
+        Args:
+            stand: What tells the stand from others: the time of its localisation.
+            T_tracker_workpiece: shape (4, 4) [m].
+        """
+        found = self._stands.setdefault(stand, [])
+        if len(found) < _MOST_PER_STAND:
+            found.append(T_tracker_workpiece)
+
+    def estimate(self) -> Array | None:
+        """Returns ``T_tracker_workpiece``, shape (4, 4) [m]; None = not known yet."""
+        stands = [
+            _median(poses) for poses in self._stands.values() if len(poses) >= _FEWEST_PER_STAND
+        ]
+        return _median(stands) if stands else None
+
+
+@dataclass(frozen=True)
+class SessionSettings:
+    """How a scan is merged and judged.
+
+    Attributes:
+        voxel_m: One point is kept per voxel [m].
+        points_max: At most so many points are kept.
+        coverage_spacing_m: Spacing of the surface samples [m].
+        coverage_radius_m: A sample counts as measured when a point lies within [m].
+    """
+
+    voxel_m: float = 0.001
+    points_max: int = 3_000_000
+    coverage_spacing_m: float = 0.005
+    coverage_radius_m: float = 0.008
+
+
+@dataclass(frozen=True)
+class Progress:
+    """How far a scan is.
+
+    Attributes:
+        frames: Scan frames received.
+        frames_hidden: Frames left out because the tracker did not see the scanner.
+        points: Points kept; those of the last frames are counted before they are merged.
+        area_ratio: Share of the area seen [1]; NaN while the part is not located.
+        feature_area_ratio: Same, complex regions only; NaN without any.
+    """
+
+    frames: int
+    frames_hidden: int
+    points: int
+    area_ratio: float
+    feature_area_ratio: float
+
+
+@dataclass(eq=False)
+class _Waiting:
+    """Points that the coverage has not seen yet."""
+
+    points: list[Array] = field(default_factory=list)
+    directions: list[Array] = field(default_factory=list)
+
+
+class ScanSession:
+    """One scan of one part; its methods may be called from any thread.
+
+    Args:
+        job_id: Job that it belongs to.
+        prepared: The part's mesh and complex regions.
+        settings: How to merge and judge.
+    """
+
+    def __init__(self, job_id: str, prepared: PreparedMesh, settings: SessionSettings) -> None:
+        self.job_id = job_id
+        self._prepared = prepared
+        self._settings = settings
+        self._lock = threading.Lock()
+        self._cloud = MergedCloud(settings.voxel_m, settings.points_max, _COLUMNS)
+        self._coarse = CoarsePose()
+        self._coverage = self._empty_coverage()
+        self._waiting = _Waiting()
+        self._frames = 0
+        self._hidden = 0
+
+    def add_frame(self, points: Array, values: dict[str, Array], direction: Array) -> None:
+        """Takes a scan frame in.
+
+        Args:
+            points: Tracker frame, shape (n, 3) [m].
+            values: ``intensity`` and ``incidence``, each shape (n,), where the scanner has them.
+            direction: View direction of the scanner, tracker frame, shape (3,).
+
+        Raises:
+            InputError: Points that can't be used.
+        """
+        none = np.full(len(points), np.nan)
+        views = np.tile(direction, (len(points), 1))
+        extra = np.column_stack(
+            [values.get("intensity", none), values.get("incidence", none), views]
+        ).astype(np.float32)
+        with self._lock:
+            self._frames += 1
+            if len(points):
+                self._cloud.add(points, extra)
+                self._waiting.points.append(points)
+                self._waiting.directions.append(views)
+
+    def add_hidden(self) -> None:
+        """Counts a frame that the tracker did not see."""
+        with self._lock:
+            self._hidden += 1
+
+    def add_coarse(self, stand: float, T_tracker_workpiece: Array) -> None:
+        """Takes an estimate of the part's pose in, see `CoarsePose`."""
+        with self._lock:
+            self._coarse.add(stand, T_tracker_workpiece)
+
+    def progress(self) -> Progress:
+        """Brings the coverage up to date and returns how far the scan is."""
+        with self._lock:
+            coarse = self._coarse.estimate()
+            if coarse is not None:
+                self._cover(inverse(coarse))
+            known = coarse is not None
+            return Progress(
+                self._frames,
+                self._hidden,
+                self._cloud.about,
+                self._coverage.area_ratio if known else float("nan"),
+                self._coverage.feature_area_ratio if known else float("nan"),
+            )
+
+    def finish(self, cloud: Path | None) -> Inspection:
+        """Aligns and measures the cloud and writes it; when that fails, the cloud as it came.
+
+        Args:
+            cloud: PLY to write, with ``deviation``, ``intensity`` and ``incidence``; beside it
+                ``coverage.ply``. None = not written.
+
+        Raises:
+            NoCloudError: No points.
+            AlignmentError: It is not known where the part stands, or the cloud does not lie on it.
+            CloudInvalidError: The file can't be written.
+        """
+        with self._lock:
+            points, extra = self._cloud.points()
+            coarse = self._coarse.estimate()
+        if len(points) == 0:
+            raise NoCloudError(
+                f"job {self.job_id}: a cloud was asked for, but {self._frames} scan frames brought "
+                f"no points"
+            )
+        coverage = self._empty_coverage()
+        try:
+            inspection = self._inspected(points, extra, coarse, coverage)
+        except Exception:
+            if cloud is not None:
+                write_ply(cloud, points, "tracker", _values(extra))
+            raise
+        if cloud is not None:
+            local = apply(inverse(inspection.alignment.T_tracker_workpiece), points)
+            values = {"deviation": inspection.deviation, **_values(extra)}
+            write_ply(cloud, local, "workpiece", values)
+            measured = {"measured": coverage.measured.astype(float)}
+            write_ply(
+                cloud.with_name("coverage.ply"), coverage.samples.points, "workpiece", measured
+            )
+        return inspection
+
+    def _inspected(
+        self,
+        points: Array,
+        extra: NDArray[np.float32],
+        coarse: Array | None,
+        coverage: CoverageSoFar,
+    ) -> Inspection:
+        if coarse is None:
+            raise AlignmentError(
+                f"job {self.job_id}: it is not known where the part stands in the tracker frame; a "
+                f"scan with localisation, joint states and scanner poses at one stand at least is "
+                f"accepted"
+            )
+        spacing, radius = self._settings.coverage_spacing_m, self._settings.coverage_radius_m
+        settings = replace(InspectionSettings(), spacing_m=spacing, radius_m=radius)
+        mesh, segmentation = self._prepared.mesh, self._prepared.segmentation
+        directions = extra[:, 2:5].astype(float)
+        return inspect(points, mesh, segmentation, coarse, settings, directions, coverage)
+
+    def _empty_coverage(self) -> CoverageSoFar:
+        samples = sample_surface(self._prepared.mesh, self._settings.coverage_spacing_m)
+        radius = self._settings.coverage_radius_m
+        return coverage_so_far(samples, self._prepared.segmentation, radius)
+
+    def _cover(self, T_workpiece_tracker: Array) -> None:
+        waiting, self._waiting = self._waiting, _Waiting()
+        if waiting.points:
+            self._coverage.add(
+                apply(T_workpiece_tracker, np.concatenate(waiting.points)),
+                rotate(T_workpiece_tracker, np.concatenate(waiting.directions)),
+            )
+
+
+def _values(extra: NDArray[np.float32]) -> dict[str, Array]:
+    return {"intensity": extra[:, 0].astype(float), "incidence": extra[:, 1].astype(float)}
+
+
+def _median(poses: list[Array]) -> Array:
+    """Returns the median place and the mean turn (the nearest rotation to the mean matrix)."""
+    stacked = np.array(poses)
+    u, _, vt = np.linalg.svd(np.median(stacked[:, :3, :3], axis=0))
+    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
+    return transform(np.median(stacked[:, :3, 3], axis=0), turn)

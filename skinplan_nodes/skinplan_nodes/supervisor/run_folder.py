@@ -1,0 +1,87 @@
+"""The folder of a run: complete when ``summary.json`` stands in it. Needs no ROS."""
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from skinplan.errors import JobInvalidError
+from skinplan.plan_record import write_json, write_plan_files
+from skinplan.scan_path.model import ScanPath
+from skinplan.stations.model import StationPlan
+from skinplan.trajectory.model import StationTrajectory
+
+SUMMARY = "summary.json"
+
+
+@dataclass(frozen=True)
+class RunFolder:
+    """Paths and writers of one run.
+
+    Attributes:
+        path: Absolute path of the folder.
+    """
+
+    path: Path
+
+    @classmethod
+    def create(cls, runs_folder: Path, job_id: str) -> "RunFolder":
+        """Makes the folder of a job; one that holds nothing but log files is accepted.
+
+        Raises:
+            JobInvalidError: The folder holds another run, or can't be made.
+        """
+        folder = cls(runs_folder / job_id)
+        taken = [
+            name for name in (SUMMARY, "bag", "plan", "cloud.ply") if (folder.path / name).exists()
+        ]
+        if taken:
+            raise JobInvalidError(
+                f"run folder {folder.path} holds {', '.join(taken)} of an earlier run; "
+                "a job id that was not used yet is accepted"
+            )
+        try:
+            folder.log.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise JobInvalidError(f"run folder {folder.path} can't be made: {error}") from error
+        return folder
+
+    @property
+    def bag(self) -> Path:
+        """Folder of the bag; made by the recorder."""
+        return self.path / "bag"
+
+    @property
+    def cloud(self) -> Path:
+        """Merged cloud."""
+        return self.path / "cloud.ply"
+
+    @property
+    def log(self) -> Path:
+        """Log files."""
+        return self.path / "log"
+
+    @property
+    def summary(self) -> Path:
+        """The file that makes the run complete."""
+        return self.path / SUMMARY
+
+    def note(self, text: str) -> None:
+        """Adds a line to the job's own log, with the time of day (UTC)."""
+        stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        with (self.log / "job.log").open("a", encoding="utf-8") as stream:
+            stream.write(f"{stamp} {text}\n")
+
+    def write_plan(
+        self,
+        path: ScanPath | None = None,
+        station_plan: StationPlan | None = None,
+        trajectories: Sequence[StationTrajectory] | None = None,
+    ) -> None:
+        """Writes what of the plan is given to ``plan/``."""
+        write_plan_files(self.path / "plan", path, station_plan, trajectories)
+
+    def finish(self, summary: Mapping[str, Any]) -> None:
+        """Writes ``summary.json`` in one step; after it nothing is written but the report."""
+        write_json(self.summary, summary)

@@ -1,0 +1,78 @@
+"""Bounded waits of a job's thread for answers of other nodes."""
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.task import Future
+from skinplan_msgs.msg import Status
+
+from skinplan_nodes.supervisor.control import JobControl, StepError
+
+_LOOK_S = 0.02
+# The cell's clock may stand still for so long of wall time: longer means that it is gone.
+_FROZEN_S = 15.0
+
+
+class Waiter:
+    """Waits for futures, on wall time or on the cell's time; gives way to an abort of the job.
+
+    Args:
+        now_s: Returns the cell's time [s].
+        is_lost: Whether a node was seen and is gone: it will never answer.
+    """
+
+    def __init__(self, now_s: Callable[[], float], is_lost: Callable[[str], bool]) -> None:
+        self._now_s = now_s
+        self._is_lost = is_lost
+        self.control = JobControl()
+
+    def wall(self, future: Future, timeout_s: float, what: str, node: str) -> Any:
+        """Waits on wall time.
+
+        Args:
+            future: What is waited for.
+            timeout_s: Longest wait [s].
+            what: What was asked, for the message.
+            node: Who was asked.
+
+        Raises:
+            AbortError: The job is to end.
+            StepError: DEVICE_TIMEOUT, or what the future raised.
+        """
+        deadline = time.monotonic() + timeout_s
+
+        def late() -> str | None:
+            return f"no answer within {timeout_s:g} s" if time.monotonic() > deadline else None
+
+        return self._wait(future, late, what, node)
+
+    def cell(self, future: Future, timeout_s: float, what: str, node: str) -> Any:
+        """Waits on the cell's time, which may be faster than wall time; else as `wall`."""
+        deadline = self._now_s() + timeout_s
+        last = [self._now_s(), time.monotonic()]
+
+        def late() -> str | None:
+            now_s, wall_s = self._now_s(), time.monotonic()
+            if now_s != last[0]:
+                last[:] = [now_s, wall_s]
+            elif wall_s - last[1] > _FROZEN_S:
+                return f"the clock has stood still for {_FROZEN_S:g} s"
+            return f"not done within {timeout_s:g} s" if now_s > deadline else None
+
+        return self._wait(future, late, what, node)
+
+    def _wait(self, future: Future, late: Callable[[], str | None], what: str, node: str) -> Any:
+        done = threading.Event()
+        future.add_done_callback(lambda _: done.set())
+        while not done.wait(_LOOK_S):
+            self.control.check()
+            if self._is_lost(node):
+                raise StepError(Status.NODE_LOST, f"{what}: node {node} was lost", node)
+            reason = late()
+            if reason is not None:
+                raise StepError(Status.DEVICE_TIMEOUT, f"{what}: {reason}", node)
+        if future.exception() is not None:
+            raise StepError(Status.DEVICE_FAILED, f"{what}: {future.exception()}", node)
+        return future.result()

@@ -1,0 +1,55 @@
+"""Which nodes of the cell are alive, judged by their heartbeats and by the graph. Needs no ROS."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+
+@dataclass
+class NodeWatch:
+    """Heartbeats of the nodes that a job needs, on wall time.
+
+    A node is lost when it was seen alive and then either stays silent or is no longer in the graph.
+
+    Attributes:
+        required: Names of the nodes, without namespace.
+        silent_max_s: A node that is silent for longer is lost [s].
+    """
+
+    required: tuple[str, ...]
+    silent_max_s: float = 5.0
+    _last_beat_s: dict[str, float] = field(default_factory=dict)
+    _gone: dict[str, int] = field(default_factory=dict)
+
+    # The graph of a loaded machine may miss a node for one look: two in a row count.
+    _LOOKS = 2
+
+    def beat(self, node: str, now_s: float) -> None:
+        """Notes a heartbeat of a node (fully qualified name or plain name)."""
+        name = node.rsplit("/", 1)[-1]
+        self._last_beat_s[name] = now_s
+        self._gone.pop(name, None)
+
+    def look(self, names_in_graph: Iterable[str]) -> None:
+        """Notes which nodes the graph shows."""
+        present = set(names_in_graph)
+        for name in self._last_beat_s:
+            self._gone[name] = 0 if name in present else self._gone.get(name, 0) + 1
+
+    def missing(self) -> tuple[str, ...]:
+        """Returns the required nodes that were never seen."""
+        return tuple(name for name in self.required if name not in self._last_beat_s)
+
+    def lost(self, now_s: float) -> str | None:
+        """Returns the first required node that is lost, None when all are well.
+
+        Args:
+            now_s: The same clock as in `beat` [s].
+        """
+        return next((name for name in self.required if self.is_lost(name, now_s)), None)
+
+    def is_lost(self, name: str, now_s: float) -> bool:
+        """Whether a node was seen and is silent, or gone from the graph, since."""
+        if name not in self._last_beat_s:
+            return False
+        silent = now_s - self._last_beat_s[name] > self.silent_max_s
+        return silent or self._gone.get(name, 0) >= self._LOOKS

@@ -1,0 +1,156 @@
+"""Round trips of scan path, stations and trajectories; each with its illegal twin."""
+
+from dataclasses import fields
+
+import numpy as np
+import pytest
+
+from skinplan.errors import InputError, JointsInvalidError, ScanPathInvalidError
+from skinplan.plan_record import scan_path_hash, station_hash, trajectory_hash
+from skinplan.scan_path.model import ScanPath
+from skinplan.scanner.model import CoverageFigures
+from skinplan.stations.model import SkippedPoint, Station, StationPlan
+from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
+from skinplan.transforms import planar
+from skinplan_nodes import conversions as c
+
+NAN = float("nan")
+
+
+def path_of(count):
+    random = np.random.default_rng(count)
+    directions = random.normal(size=(count, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    return ScanPath(
+        random.normal(size=(count, 3)),
+        directions,
+        random.normal(size=(count, 3)),
+        np.arange(count, dtype=np.int64) % 2,
+        np.arange(count, dtype=np.int64) // 2,
+        "published",
+        3,
+    )
+
+
+def segment_of(kind, count=4):
+    random = np.random.default_rng(count)
+    points = np.arange(2 if kind == SCAN else 0, dtype=np.int64)
+    times = np.linspace(0.0, 1.0, count)
+    return Segment(kind, times, *random.normal(size=(2, count, 6)), points, 0.25)
+
+
+def plan_of(count):
+    stations = tuple(
+        Station(i, planar(0.5 * i, -0.8, 0.1 * i), np.arange(i, dtype=np.int64))
+        for i in range(count)
+    )
+    skipped = (SkippedPoint(7, "no inverse kinematics"),) if count else ()
+    return StationPlan("rectangles", stations, 12, count, True, 0.995, skipped)
+
+
+def assert_same(found, wanted):
+    for field in fields(wanted):
+        a, b = getattr(found, field.name), getattr(wanted, field.name)
+        if isinstance(b, np.ndarray):
+            np.testing.assert_allclose(a, b, atol=1e-9)
+            assert a.shape == b.shape
+        elif isinstance(b, tuple):
+            assert len(a) == len(b)
+            for x, y in zip(a, b, strict=True):
+                assert_same(x, y)
+        else:
+            assert a == b
+
+
+@pytest.mark.parametrize("count", [0, 1, 25])
+def test_scan_path_round_trip(count):
+    path = path_of(count)
+    facts = c.PathFacts("scene4", "ab" * 32, 100, 2.5, CoverageFigures(0.99, 0.9, 0.95, NAN))
+    msg = c.scan_path_to_msg(path, facts, 1.5)
+    assert_same(c.scan_path_from_msg(msg), path)
+    assert msg.plan_hash == scan_path_hash(path)
+    found = c.path_facts_from_msg(msg)
+    assert (found.part_id, found.triangles, found.area_m2) == ("scene4", 100, 2.5)
+    assert found.coverage.area_ratio == 0.99
+    assert np.isnan(found.coverage.rows_only_feature_area_ratio)
+
+
+def test_scan_path_without_facts_has_unknown_coverage():
+    msg = c.scan_path_to_msg(path_of(2))
+    assert np.isnan(msg.coverage.area_ratio)
+
+
+def test_scan_path_empty_has_no_points_to_plan_on():
+    with pytest.raises(ScanPathInvalidError, match="0 points"):
+        c.require_points(path_of(0))
+
+
+@pytest.mark.parametrize(
+    "change, text",
+    [
+        (lambda m: setattr(m.header, "frame_id", "map"), "frame 'workpiece' is accepted"),
+        (lambda m: setattr(m.points[1].position, "x", NAN), "finite positions.*number 1"),
+        (lambda m: setattr(m.points[1].target, "z", NAN), "finite targets.*number 1"),
+        (lambda m: setattr(m.points[2].direction, "x", 3.0), "unit directions.*number 2"),
+        (lambda m: setattr(m.points[0], "kind", 7), "kinds 0 and 1"),
+        (lambda m: setattr(m.points[0].position, "x", 9.0), "stated hash"),
+    ],
+)
+def test_scan_path_refuses(change, text):
+    msg = c.scan_path_to_msg(path_of(4))
+    change(msg)
+    with pytest.raises(ScanPathInvalidError, match=text):
+        c.scan_path_from_msg(msg)
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_station_plan_round_trip(count):
+    plan = plan_of(count)
+    msg = c.station_plan_to_msg(plan, 2.0)
+    assert_same(c.station_plan_from_msg(msg), plan)
+    assert msg.plan_hash == station_hash(plan)
+
+
+def test_station_plan_refuses():
+    msg = c.station_plan_to_msg(plan_of(2))
+    msg.stations[1].pose.position.x = NAN
+    with pytest.raises(InputError, match="finite"):
+        c.station_plan_from_msg(msg)
+    msg.header.frame_id = ""
+    with pytest.raises(InputError, match="frame 'map'"):
+        c.station_plan_from_msg(msg)
+
+
+@pytest.mark.parametrize("kinds", [(), (TRANSIT, SCAN, TRANSIT, SCAN, TRANSIT)])
+def test_trajectories_round_trip(kinds):
+    trajectory = StationTrajectory(
+        4, tuple(segment_of(kind) for kind in kinds), (SkippedPoint(3, "collision"),)
+    )
+    msg = c.station_trajectory_to_msg(trajectory)
+    assert_same(c.station_trajectory_from_msg(msg), trajectory)
+    assert msg.breaks == trajectory.breaks
+    assert msg.scan_duration == pytest.approx(trajectory.scan_s)
+    plan = c.trajectory_plan_to_msg([trajectory], c.PlanTimes(3.0, 2.0))
+    (found,) = c.trajectory_plan_from_msg(plan)
+    assert_same(found, trajectory)
+    assert plan.plan_hash == trajectory_hash([trajectory])
+    assert (plan.base_duration, plan.lower_bound) == (3.0, 2.0)
+
+
+def test_trajectory_plan_empty():
+    assert c.trajectory_plan_from_msg(c.trajectory_plan_to_msg([])) == ()
+
+
+def test_trajectory_refuses():
+    msg = c.station_trajectory_to_msg(StationTrajectory(0, (segment_of(SCAN),), ()))
+    msg.segments[0].kind = 9
+    with pytest.raises(InputError, match="found 9"):
+        c.station_trajectory_from_msg(msg)
+    msg.segments[0].kind = SCAN
+    msg.segments[0].trajectory.joint_names[0] = "base_joint"
+    with pytest.raises(JointsInvalidError, match="base_joint|missing"):
+        c.station_trajectory_from_msg(msg)
+    plan = c.trajectory_plan_to_msg([])
+    plan.header.frame_id = "map"
+    with pytest.raises(InputError, match="frame 'arm_base'"):
+        c.trajectory_plan_from_msg(plan)

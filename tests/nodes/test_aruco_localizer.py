@@ -1,0 +1,293 @@
+"""The approach-retry loop on the mock base and camera; and what it refuses."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from action_msgs.msg import GoalStatus
+from nav2_msgs.action import NavigateToPose
+from rclpy.action import ActionClient
+from skinplan_msgs.action import LocalizePart
+from skinplan_msgs.msg import MarkerObservations, PartPose, Status
+from tf2_msgs.msg import TFMessage
+
+from nodes.bench import Bench
+from nodes.small_part import reference
+from skinplan.mock.truth import Truth
+from skinplan.part.files import load_part
+from skinplan.part.model import Part
+from skinplan.part.samples import write_sample
+from skinplan.robot.cell import CellConfig
+from skinplan.transforms import difference, inverse, planar, transform
+from skinplan_nodes.aruco_localizer import ArucoLocalizer
+from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames
+from skinplan_nodes.conversions import (
+    camera_info_to_msg,
+    image_to_msg,
+    part_pose_from_msg,
+    pose_from_msg,
+    pose_stamped_to_msg,
+    transform_stamped_to_msg,
+)
+from skinplan_nodes.mock_camera import MockCamera
+from skinplan_nodes.mock_mir100 import MockMir100
+from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
+from skinplan_nodes.replies import RefusedError
+
+CELL = CellConfig()
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
+    written = write_sample("scene2", tmp_path_factory.mktemp("part"))
+    assert written.source is not None
+    return load_part(written.source)
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    found = Bench()
+    yield found
+    found.close()
+    assert not found.failures
+
+
+def start_cell(bench: Bench, part: Part, **parameters: Any) -> None:
+    bench.start(MockMir100, part_uri=str(part.source), seed=3)
+    bench.start(MockCamera, part_uri=str(part.source), seed=3)
+    bench.start(ArucoLocalizer, **parameters)
+
+
+def send(bench: Bench, goal: LocalizePart.Goal, feedback: list[Any] | None = None) -> Any:
+    client = ActionClient(bench.tester, LocalizePart, "localize_part")
+    bench.wait(client.server_is_ready)
+    told = None if feedback is None else lambda msg: feedback.append(msg.feedback)
+    return bench.result(client.send_goal_async(goal, feedback_callback=told), turning=True)
+
+
+def localize(bench: Bench, goal: LocalizePart.Goal, feedback: list[Any] | None = None) -> Any:
+    handle = send(bench, goal, feedback)
+    assert handle.accepted
+    return bench.result(handle.get_result_async(), turning=True)
+
+
+def drive(bench: Bench, goal: Any) -> None:
+    client = ActionClient(bench.tester, NavigateToPose, "navigate_to_pose")
+    bench.wait(client.server_is_ready)
+    request = NavigateToPose.Goal(pose=pose_stamped_to_msg(goal, "map"))
+    handle = bench.result(client.send_goal_async(request), turning=True)
+    result = bench.result(handle.get_result_async(), turning=True)
+    assert result.status == GoalStatus.STATUS_SUCCEEDED
+
+
+def work_place(part: Part) -> Any:
+    """A place from which the markers are seen, but not well enough."""
+    x = float(part.T_map_workpiece[0, 3])
+    return planar(x - 0.3, -2.2, 0.25)
+
+
+def test_the_part_is_found_by_moving_closer(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    seen = bench.collect(MarkerObservations, "markers/observations", STATE)
+    latched = bench.collect_before(PartPose, "part_pose", LATCHED)
+    drive(bench, work_place(part))
+    feedback: list[Any] = []
+    goal = LocalizePart.Goal(part=reference(part), may_move=True)
+    answer = localize(bench, goal, feedback)
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED
+    result = answer.result
+    assert (result.status.code, result.status.message) == (Status.OK, "")
+    assert result.quality >= CELL.quality.threshold
+    assert result.attempts > 1, "from the work place the view is not good enough"
+    assert result.attempts <= CELL.quality.max_attempts
+    bench.wait(lambda: len(feedback) == result.attempts)
+    assert feedback[0].phase == "detecting"
+    assert {item.phase for item in feedback[1:]} <= {"turning", "advancing"}
+    assert feedback[-1].quality == pytest.approx(result.quality)
+    bench.wait(lambda: len(seen) >= result.attempts)
+    assert all(len(item.observations) for item in seen)
+    bench.wait(lambda: latched)
+    assert latched[-1] == result.part_pose
+    truth = Truth(part, CELL, 3)
+    T_map_workpiece = pose_from_msg(result.map_pose.pose)
+    # The base stands up to 50 mm and 1 degree beside where it believes to be.
+    assert difference(T_map_workpiece, truth.T_map_workpiece)[0] < 0.15
+    located = part_pose_from_msg(result.part_pose)
+    assert located.marker_ids.tolist()
+
+
+def test_frames_of_the_part_are_published(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    moving = bench.collect(TFMessage, "tf", STATE)
+    fixed = bench.collect(TFMessage, "tf_static", STATIC_TF)
+    drive(bench, work_place(part))
+    goal = LocalizePart.Goal(part=reference(part), quality_threshold=0.05, may_move=False)
+    assert localize(bench, goal).result.status.code == Status.OK
+
+    def edges(messages: list[Any]) -> set[tuple[str, str]]:
+        return {(t.header.frame_id, t.child_frame_id) for m in messages for t in m.transforms}
+
+    bench.wait(lambda: ("map", "workpiece") in edges(moving), turning=True)
+    markers = {("fixture", f"marker_{marker.id}") for marker in part.fixture.markers}
+    bench.wait(lambda: {("workpiece", "fixture"), *markers} <= edges(fixed))
+
+
+def test_without_moving_it_says_that_the_quality_is_not_reached(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    drive(bench, work_place(part))
+    answer = localize(bench, LocalizePart.Goal(part=reference(part), may_move=False))
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert answer.result.status.code == Status.QUALITY_NOT_REACHED
+    assert answer.result.attempts == 1
+    assert "without moving" in answer.result.status.message
+
+
+def test_too_few_attempts_bring_the_base_back(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    frames = Frames()
+    bench.tester.create_subscription(TFMessage, "tf", lambda m: frames.take(m) and None, STATE)
+    drive(bench, work_place(part))
+    goal = LocalizePart.Goal(
+        part=reference(part), may_move=True, max_attempts=2, quality_threshold=1.0
+    )
+    feedback: list[Any] = []
+    answer = localize(bench, goal, feedback)
+    assert answer.result.status.code == Status.QUALITY_NOT_REACHED
+    assert answer.result.attempts == 2
+    assert feedback[-1].phase in ("turning", "advancing"), "it did move"
+    bench.wait(
+        lambda: difference(frames.lookup("map", "base_link"), work_place(part))[0] < 1e-6,
+        turning=True,
+    )
+
+
+def test_no_marker_in_sight(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    drive(bench, work_place(part) @ planar(0.0, 0.0, np.pi))
+    seen = bench.collect(MarkerObservations, "markers/observations", STATE)
+    answer = localize(bench, LocalizePart.Goal(part=reference(part), may_move=True))
+    assert answer.result.status.code == Status.NO_MARKER
+    assert answer.result.attempts == 3
+    bench.wait(lambda: len(seen) == 3)
+    assert not any(item.observations for item in seen), "empty lists are published"
+
+
+def test_markers_of_another_part(
+    bench: Bench, part: Part, tmp_path_factory: pytest.TempPathFactory
+) -> None:
+    start_cell(bench, part)
+    drive(bench, work_place(part))
+    folder = tmp_path_factory.mktemp("other")
+    other = write_sample("scene2", folder)
+    assert other.source is not None
+    text = other.source.read_text(encoding="utf-8")
+    for marker in part.fixture.markers:
+        text = text.replace(f"- id: {marker.id}\n", f"- id: {marker.id + 50}\n")
+        text = text.replace(f"{{id: {marker.id},", f"{{id: {marker.id + 50},")
+    other.source.write_text(text, encoding="utf-8")
+    ids = {marker.id for marker in load_part(other.source).fixture.markers}
+    assert not ids & {marker.id for marker in part.fixture.markers}
+    answer = localize(bench, LocalizePart.Goal(part=reference(other), may_move=True))
+    assert answer.result.status.code == Status.WRONG_MARKER
+
+
+def test_cancel_stops_it(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    drive(bench, work_place(part))
+    goal = LocalizePart.Goal(part=reference(part), may_move=True)
+    feedback: list[Any] = []
+    handle = send(bench, goal, feedback)
+    bench.wait(lambda: feedback, turning=True)
+    bench.result(handle.cancel_goal_async(), turning=True)
+    answer = bench.result(handle.get_result_async(), turning=True)
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert answer.result.status.code == Status.LOCALIZATION_CANCELLED
+
+
+def test_a_second_goal_is_refused(bench: Bench, part: Part) -> None:
+    start_cell(bench, part)
+    goal = LocalizePart.Goal(part=reference(part), may_move=False)
+    first = send(bench, goal)
+    assert first.accepted
+    assert not send(bench, goal).accepted
+    assert bench.result(first.get_result_async(), turning=True).result.status.code != Status.UNSET
+    again = send(bench, goal)
+    assert again.accepted, "the next one is taken again"
+    bench.result(again.get_result_async(), turning=True)
+
+
+@pytest.mark.parametrize("threshold", [float("nan"), -0.1, 1.5])
+def test_thresholds_that_are_none(bench: Bench, part: Part, threshold: float) -> None:
+    bench.start(ArucoLocalizer)
+    goal = LocalizePart.Goal(part=reference(part), quality_threshold=threshold)
+    answer = localize(bench, goal)
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert answer.result.status.code == Status.QUALITY_NOT_REACHED
+    assert "0 to 1 is accepted" in answer.result.status.message
+
+
+def test_a_part_that_is_none_and_a_cell_without_frames(bench: Bench, part: Part) -> None:
+    bench.start(ArucoLocalizer, image_timeout_s=0.5)
+    unknown = localize(bench, LocalizePart.Goal(part=reference(part, uri="/no/part.yaml")))
+    assert unknown.result.status.code == Status.PART_NOT_FOUND
+    blind = localize(bench, LocalizePart.Goal(part=reference(part)))
+    assert blind.result.status.code == Status.NO_IMAGE
+    lost = localize(bench, LocalizePart.Goal(part=reference(part), may_move=True))
+    assert lost.result.status.code == Status.NO_TRANSFORM
+
+
+def feed_of(frames: Frames, now_s: float = 100.0) -> CameraFeed:
+    steps = iter(np.arange(now_s, now_s + 1e4, 1.0))
+    return CameraFeed(frames, lambda: float(next(steps)), FeedSettings(0.5, 2.0, 5.0))
+
+
+def image_at(feed: CameraFeed, stamp_s: float) -> None:
+    camera = CELL.camera
+    image = np.zeros((camera.height, camera.width), dtype=np.uint8)
+    from skinplan.localization.camera import camera_model
+
+    feed.take_info(camera_info_to_msg(camera_model(camera), "optical", stamp_s))
+    feed.take_image(image_to_msg(image, "optical", stamp_s))
+
+
+def moved(frames: Frames, x_m: float, stamp_s: float) -> None:
+    edge = transform_stamped_to_msg("odom", "base_link", transform((x_m, 0, 0)), stamp_s)
+    assert not frames.take(TFMessage(transforms=[edge]))
+
+
+def test_an_image_from_before_the_last_motion_is_stale() -> None:
+    frames = Frames()
+    for x_m, stamp_s in ((0.0, 10.0), (0.1, 11.0), (0.1, 12.0), (0.1, 13.0)):
+        moved(frames, x_m, stamp_s)
+    assert frames.moved_s == 11.0
+    feed = feed_of(frames)
+    with pytest.raises(RefusedError, match="no image") as missing:
+        feed.look(0.0, lambda: False)
+    assert missing.value.code == Status.NO_IMAGE
+    image_at(feed, 11.4)
+    with pytest.raises(RefusedError, match=r"the base moved until 11\.000 s") as stale:
+        feed.look(0.0, lambda: False)
+    assert stale.value.code == Status.STALE_IMAGE
+    image_at(feed, 11.6)
+    assert feed.look(0.0, lambda: False).stamp_s == pytest.approx(11.6)
+    with pytest.raises(RefusedError) as same:
+        feed.look(11.6, lambda: False)
+    assert same.value.code == Status.STALE_IMAGE
+    with pytest.raises(RefusedError) as stopped:
+        feed.look(11.6, lambda: True)
+    assert stopped.value.code == Status.LOCALIZATION_CANCELLED
+
+
+def test_frames_refuse_transforms_that_are_none() -> None:
+    frames = Frames()
+    edge = transform_stamped_to_msg("a", "b", np.eye(4))
+    edge.transform.rotation.w = 0.0
+    (reason,) = frames.take(TFMessage(transforms=[edge]))
+    assert "length 0" in reason
+    with pytest.raises(RefusedError) as unknown:
+        frames.lookup("map", "base_link")
+    assert unknown.value.code == Status.NO_TRANSFORM
+    T = transform((1, 2, 3))
+    frames.take(TFMessage(transforms=[transform_stamped_to_msg("a", "b", T)]))
+    np.testing.assert_allclose(frames.lookup("b", "a"), inverse(T))

@@ -1,0 +1,130 @@
+"""The parts of the supervisor that need no graph: watch, switches, progress, run folder."""
+
+import json
+import threading
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from skinplan.errors import JobInvalidError
+from skinplan.stations.model import SkippedPoint, Station, StationPlan
+from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
+from skinplan_nodes.supervisor.control import AbortError, JobControl
+from skinplan_nodes.supervisor.progress import Progress
+from skinplan_nodes.supervisor.run_data import RunData
+from skinplan_nodes.supervisor.run_folder import RunFolder
+from skinplan_nodes.supervisor.watch import NodeWatch
+
+
+def test_watch_misses_what_it_never_saw() -> None:
+    watch = NodeWatch(("a", "b"), silent_max_s=5.0)
+    assert watch.missing() == ("a", "b")
+    watch.beat("/cell1/a", 0.0)
+    assert watch.missing() == ("b",)
+    assert watch.lost(100.0) == "a"
+
+
+def test_watch_loses_a_silent_node_and_finds_it_again() -> None:
+    watch = NodeWatch(("a",), silent_max_s=5.0)
+    watch.beat("a", 10.0)
+    assert watch.lost(15.0) is None
+    assert watch.lost(15.1) == "a"
+    watch.beat("a", 16.0)
+    assert watch.lost(16.5) is None
+
+
+def test_watch_loses_a_node_that_left_the_graph() -> None:
+    watch = NodeWatch(("a", "b"))
+    for name in ("a", "b"):
+        watch.beat(name, 0.0)
+    watch.look(["a"])
+    assert watch.lost(0.1) is None, "one look may be wrong"
+    watch.look(["a"])
+    assert watch.lost(0.2) == "b"
+
+
+def test_watch_ignores_nodes_that_are_not_required() -> None:
+    watch = NodeWatch(("a",))
+    watch.beat("a", 0.0)
+    watch.beat("player", 0.0)
+    for _ in range(3):
+        watch.look(["a"])
+    assert watch.lost(1.0) is None
+
+
+def test_abort_keeps_the_first_reason_and_ends_a_pause() -> None:
+    control = JobControl()
+    control.pause()
+    raised: list[AbortError] = []
+
+    def hold() -> None:
+        with pytest.raises(AbortError) as caught:
+            control.hold()
+        raised.append(caught.value)
+
+    waiter = threading.Thread(target=hold)
+    waiter.start()
+    control.abort(603, "node x was lost", "x")
+    control.abort(804, "somebody asked")
+    waiter.join(10.0)
+    assert [(e.code, e.node, str(e)) for e in raised] == [(603, "x", "node x was lost")]
+
+
+def test_pause_holds_until_resume() -> None:
+    control = JobControl()
+    control.pause()
+    passed = threading.Event()
+    waiter = threading.Thread(target=lambda: (control.hold(), passed.set()))
+    waiter.start()
+    assert not passed.wait(0.2)
+    control.resume()
+    assert passed.wait(10.0)
+    waiter.join()
+
+
+def test_progress_never_falls_and_time_left_shrinks() -> None:
+    stations = tuple(Station(i, np.eye(4), np.arange(10)) for i in range(2))
+    plan = StationPlan("rectangles", stations, 2, 0, False, 1.0, ())
+    progress = Progress().at("planning", 0.1).planned(plan, settle_s=5.0)
+    first = progress.at("driving", 0.05, station=1)
+    assert first.share == 0.1
+    assert first.title == "driving at station 1 of 2"
+    second = first.at("driving", 0.5, station=2)
+    assert 0.0 < second.time_left_s < first.time_left_s
+
+
+def _segment(kind: int, points: list[int]) -> Segment:
+    times = np.array([0.0, 1.0])
+    return Segment(
+        kind, times, np.zeros((2, 6)), np.zeros((2, 6)), np.array(points, dtype=int), 0.1
+    )
+
+
+def test_left_over_points_are_those_that_no_station_scanned_since() -> None:
+    data = RunData()
+    skipped = tuple(SkippedPoint(p, "no inverse kinematics") for p in (3, 4))
+    data.trajectories.append(StationTrajectory(0, (_segment(SCAN, [0, 1, 2]),), skipped))
+    assert data.left_over() == {3: "no inverse kinematics", 4: "no inverse kinematics"}
+    segments = (_segment(TRANSIT, [4]), _segment(SCAN, [3, 5]))
+    data.trajectories.append(StationTrajectory(1, segments, (SkippedPoint(4, "in collision"),)))
+    assert data.left_over() == {4: "in collision"}
+    assert data.scanned() == {0, 1, 2, 3, 5}
+
+
+def test_run_folder_accepts_logs_and_refuses_another_run(tmp_path: Path) -> None:
+    (tmp_path / "job" / "log").mkdir(parents=True)
+    folder = RunFolder.create(tmp_path, "job")
+    folder.note("begin")
+    assert not folder.summary.exists()
+    folder.finish({"job": {"id": "job", "state": "Ended"}, "value": float("nan")})
+    assert json.loads(folder.summary.read_text())["value"] is None
+    assert [p.name for p in folder.path.glob(".*")] == [], "no temporary file is left"
+    with pytest.raises(JobInvalidError, match="summary.json of an earlier run"):
+        RunFolder.create(tmp_path, "job")
+
+
+def test_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
+    (tmp_path / "runs").write_text("a file")
+    with pytest.raises(JobInvalidError, match="can't be made"):
+        RunFolder.create(tmp_path / "runs", "job")

@@ -1,0 +1,174 @@
+"""The process manager: staged end, names of dead processes, no orphans."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+
+from skinplan_nodes.processes import domain_of_graph
+
+TIMEOUT_S = 20.0
+
+PROGRAM = """
+import sys
+from skinplan_nodes.processes import EndTimes, GraphManager
+
+events = []
+manager = GraphManager(
+    lambda name, line: print(f"line {{name}} {{line}}", flush=True),
+    lambda name, code: print(f"died {{name}} {{code}}", flush=True),
+    client={client!r},
+    times=EndTimes(grace_s=1.0, client_s=1.0, terminate_s=1.0),
+)
+for name, command in {processes!r}.items():
+    manager.add_process(name, command)
+manager.loop()
+print(f"end {{manager.client_code() if manager._client else None}}", flush=True)
+sys.exit(manager.returncode)
+"""
+NODE = f"exec {sys.executable} -c 'import time; time.sleep(600)'"
+STUBBORN = (
+    f"exec {sys.executable} -c 'import signal as s, time; s.signal(s.SIGTERM, s.SIG_IGN); "
+    'print("up", flush=True); time.sleep(600)\''
+)
+CLIENT = (
+    f"exec {sys.executable} -c 'import signal, sys, time; "
+    'signal.signal(signal.SIGINT, lambda *_: (print("aborted", flush=True), sys.exit(3))); '
+    'print("up", flush=True); time.sleep(600)\''
+)
+
+
+class Program:
+    """A process manager in a program of its own, with all its processes."""
+
+    def __init__(self, processes: dict[str, str], client: str | None) -> None:
+        source = textwrap.dedent(PROGRAM).format(client=client, processes=processes)
+        self.process = subprocess.Popen(
+            [sys.executable, "-c", source],
+            stdout=subprocess.PIPE,
+            text=True,
+            start_new_session=True,
+        )
+        self.tree: list[psutil.Process] = []
+
+    def wait_started(self, count: int) -> list[psutil.Process]:
+        """Waits until the manager and `count` programs run; returns them all."""
+        root = psutil.Process(self.process.pid)
+
+        def started() -> bool:
+            self.tree = [root, *root.children(recursive=True)]
+            # One reader and one program for each.
+            return len(self.tree) == 1 + 2 * count
+
+        wait_for(started)
+        return self.tree
+
+    def lines(self) -> list[str]:
+        """Waits for the end of the program and returns what it said."""
+        return self.process.communicate(timeout=TIMEOUT_S)[0].splitlines()
+
+    def running(self) -> list[psutil.Process]:
+        """Returns those of the processes that still run."""
+        return [p for p in self.tree if p.is_running() and p.status() != psutil.STATUS_ZOMBIE]
+
+
+def wait_for(condition: Callable[[], bool]) -> None:
+    deadline = time.monotonic() + TIMEOUT_S
+    while not condition():
+        assert time.monotonic() < deadline, "the condition did not come true in time"
+        time.sleep(0.02)
+
+
+@pytest.fixture
+def start() -> Iterator[Callable[[dict[str, str], str | None], Program]]:
+    programs: list[Program] = []
+
+    def begin(processes: dict[str, str], client: str | None = None) -> Program:
+        programs.append(Program(processes, client))
+        return programs[-1]
+
+    yield begin
+    for program in programs:
+        for process in program.running():
+            process.kill()
+        program.process.wait(TIMEOUT_S)
+
+
+def test_end_of_the_client_ends_the_rest(start: Callable[..., Program]) -> None:
+    done = f"exec {sys.executable} -c 'import time; print(\"hello\"); time.sleep(0.5)'"
+    program = start({"node": NODE, "client": done}, "client")
+    program.wait_started(2)
+    lines = program.lines()
+    assert "line client hello" in lines
+    assert lines[-1] == "end 0"
+    assert program.process.returncode == 0
+    assert not program.running()
+    assert not any(line.startswith("died") for line in lines)
+
+
+def test_dead_node_is_named_and_the_client_gets_its_grace(start: Callable[..., Program]) -> None:
+    program = start({"victim": NODE, "other": NODE, "client": CLIENT}, "client")
+    tree = program.wait_started(3)
+    victim = next(
+        p for p in tree if p.cmdline()[1:2] == ["-c"] and p.cmdline()[2].startswith("import time")
+    )
+    victim.send_signal(signal.SIGKILL)
+    lines = program.lines()
+    assert f"died victim {-signal.SIGKILL}" in lines or f"died other {-signal.SIGKILL}" in lines
+    assert "line client aborted" in lines
+    assert lines[-1] == "end 3"
+    assert not program.running()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM])
+def test_signal_aborts_by_the_client_and_leaves_nothing(
+    start: Callable[..., Program], sent: signal.Signals
+) -> None:
+    program = start({"stubborn": STUBBORN, "client": CLIENT}, "client")
+    tree = program.wait_started(2)
+    assert program.process.stdout is not None
+    assert sorted(program.process.stdout.readline().split()[-1] for _ in range(2)) == ["up", "up"]
+    tree[0].send_signal(sent)
+    lines = program.lines()
+    assert "line client aborted" in lines
+    assert program.process.returncode == 128 + sent
+    assert not program.running()
+
+
+def test_killed_manager_leaves_nothing(start: Callable[..., Program]) -> None:
+    program = start({"node": NODE, "client": CLIENT}, "client")
+    tree = program.wait_started(2)
+    tree[0].kill()
+    program.process.wait(TIMEOUT_S)
+    wait_for(lambda: not program.running())
+
+
+def test_domain_asked_for_is_taken() -> None:
+    assert domain_of_graph({"ROS_DOMAIN_ID": "17"}) == 17
+
+
+def test_domain_in_use_is_avoided(tmp_path: Path) -> None:
+    table = tmp_path / "udp"
+    header = "  sl  local_address rem_address   st\n"
+    table.write_text(header)
+    assert domain_of_graph({}, table) == 0
+    port = 7400 + 11
+    table.write_text(header + f"  12: 00000000:{port:04X} 00000000:0000 07\n")
+    assert domain_of_graph({}, table) == 1 + os.getpid() % 100
+
+
+def test_runner_refuses_a_missing_part(tmp_path: Path) -> None:
+    command = [sys.executable, "-m", "skinplan_nodes.runner", "--part", str(tmp_path / "none.yaml")]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=TIMEOUT_S, check=False)
+    assert done.returncode == 2
+    assert "there is no such file" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert not json.loads(done.stdout or "[]")
