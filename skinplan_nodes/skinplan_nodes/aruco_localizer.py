@@ -220,7 +220,7 @@ class ArucoLocalizer(CellNode):
         threshold = goal.quality_threshold
         if not (math.isfinite(threshold) and 0.0 <= threshold <= 1.0):
             raise RefusedError(
-                Status.QUALITY_NOT_REACHED,
+                Status.REQUEST_INVALID,
                 f"quality_threshold {threshold:g} was asked for; 0 to 1 is accepted",
             )
         quality = self._cell.quality

@@ -134,11 +134,11 @@ class BagPlayer(CellNode):
         self.playback.stop()
         response.message = "stopped"
 
-    @replies(invalid=Status.BAG_INVALID)
+    @replies(invalid=Status.REQUEST_INVALID)
     def _on_seek(self, request: PlayerSeek.Request, _: PlayerSeek.Response) -> None:
         self.playback.seek(request.offset)
 
-    @replies(invalid=Status.BAG_INVALID)
+    @replies(invalid=Status.REQUEST_INVALID)
     def _on_set_rate(self, request: PlayerSetRate.Request, _: PlayerSetRate.Response) -> None:
         self.playback.set_rate(request.rate)
 

@@ -98,18 +98,26 @@ class Measurement:
         job: The order.
         truth: Takes the true poses.
         on_change: Called with every change of the job.
+        reason: File that says why the client is interrupted; it need not exist.
         namespace: Namespace of the cell.
     """
 
     def __init__(
-        self, job: Job, truth: TruthLog, on_change: Callable[[JobRecord], None], namespace: str = ""
+        self,
+        job: Job,
+        truth: TruthLog,
+        on_change: Callable[[JobRecord], None],
+        reason: Path,
+        namespace: str = "",
     ) -> None:
         self._job = job
+        self._reason = reason
         self._node = MeasureClient(truth, on_change, namespace)
         self._node.job_id = job.job_id
         self._executor = SingleThreadedExecutor()
         self._executor.add_node(self._node)
         self._asked_to_end = False
+        self.interrupted = False
 
     def interrupt(self) -> None:
         """Asks for the end of the job; called by the signal handler."""
@@ -129,11 +137,13 @@ class Measurement:
             self._executor.spin_once(timeout_sec=0.1)
             if self._asked_to_end:
                 self._abort()
+                self.interrupted = True
                 break
             if time.monotonic() - self._node.seen_s > _SILENT_S:
                 return self._node.record, "the cell supervisor was lost; nobody ends the job"
         record = self._node.record
-        return record, record.error if record is not None else ""
+        error = record.error if record is not None else ""
+        return record, error or (self._why() if self.interrupted else "")
 
     def close(self) -> None:
         """Leaves the graph."""
@@ -142,11 +152,9 @@ class Measurement:
 
     def _submit(self) -> str:
         if not self._spin_until(self._node.submit.service_is_ready, _SUBMIT_S):
-            return (
-                f"nobody serves jobs/submit after {_SUBMIT_S:g} s"
-                if not self._asked_to_end
-                else "interrupted"
-            )
+            if self._asked_to_end:
+                return self._why()
+            return f"nobody serves jobs/submit after {_SUBMIT_S:g} s"
         answer = self._node.submit.call_async(JobSubmit.Request(job=job_to_msg(self._job)))
         if not self._spin_until(answer.done, _ANSWER_S):
             return f"no answer of jobs/submit within {_ANSWER_S:g} s"
@@ -156,11 +164,16 @@ class Measurement:
 
     def _abort(self) -> None:
         request = JobCommand.Request(
-            job_id=self._job.job_id, command=JobCommand.Request.ABORT, reason="interrupted"
+            job_id=self._job.job_id, command=JobCommand.Request.ABORT, reason=self._why()
         )
         self._node.command.call_async(request)
         self._asked_to_end = False
         self._spin_until(self._over, _ABORT_S)
+
+    def _why(self) -> str:
+        if self._reason.is_file():
+            return self._reason.read_text(encoding="utf-8").strip()
+        return "interrupted"
 
     def _over(self) -> bool:
         return self._node.record is not None and is_over(self._node.record.state)
@@ -199,8 +212,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     job = Job(given.job_id, given.part_uri, serial_number=given.serial_number)
     truth = TruthLog(cell.T_base_link_arm_base)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
+    reason = Path(given.runs_folder) / given.job_id / "log" / "died.txt"
     measurement = Measurement(
-        job, truth, lambda record: _emit(_status_event(record)), given.namespace
+        job, truth, lambda record: _emit(_status_event(record)), reason, given.namespace
     )
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, lambda *_: measurement.interrupt())
@@ -208,15 +222,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
     measurement.close()
     folder = Path(record.run_folder) if record is not None and record.run_folder else None
     if folder is not None:
-        _complete(folder, truth, record is not None and record.state is JobState.ENDED)
+        # Who interrupts a job does not want to wait for a report.
+        _complete(folder, truth, with_report=not measurement.interrupted)
     _emit(_result_event(job, record, folder, error))
     return 0 if record is not None and record.state is JobState.ENDED else 1
 
 
-def _complete(folder: Path, truth: TruthLog, ended: bool) -> None:
+def _complete(folder: Path, truth: TruthLog, with_report: bool) -> None:
     try:
         judge(folder, truth)
-        if ended:
+        if with_report:
             write_report(folder)
     except (SkinplanError, OSError, ValueError, KeyError) as error:
         _log.error("run %s: %s", folder, error)
@@ -227,7 +242,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--part-uri", required=True, help="absolute path or file:// URI of the part file"
     )
-    parser.add_argument("--runs-folder", default="runs", help="not used: the cell knows its folder")
+    parser.add_argument("--runs-folder", default="runs", help="folder of the runs' log folders")
     parser.add_argument("--job-id", required=True, help="id of the job")
     parser.add_argument("--serial-number", default="", help="serial number of the individual part")
     parser.add_argument("--cell-file", default="", help="cell file; empty = the default cell")

@@ -26,6 +26,7 @@ from skinplan_nodes.processes import GraphManager, domain_of_graph
 
 CLIENT = "measure"
 SUPERVISOR = "cell_supervisor"
+DIED = "died.txt"
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 # One thread per process: there are more processes than cores.
@@ -133,6 +134,8 @@ class Runner:
 
     def _on_death(self, name: str, code: int) -> None:
         self.died.append(name)
+        # The client reads it when it is interrupted, and gives it as the reason.
+        (self._log_folder() / DIED).write_text(f"node {name} died\n", encoding="utf-8")
         how = {"code": code} if code >= 0 else {"signal": -code}
         self._emit({"event": "node_died", "node": name, **how})
 

@@ -43,7 +43,7 @@ class StationPlanner(CellNode):
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
 
-    @replies_in_thread(invalid=Status.SCAN_PATH_INVALID)
+    @replies_in_thread(invalid=Status.REQUEST_INVALID)
     def _on_plan_stations(
         self, request: PlanStations.Request, response: PlanStations.Response
     ) -> None:

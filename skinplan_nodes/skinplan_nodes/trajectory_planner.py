@@ -81,7 +81,7 @@ class TrajectoryPlanner(CellNode):
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
 
-    @replies_in_thread(invalid=Status.SCAN_PATH_INVALID)
+    @replies_in_thread(invalid=Status.REQUEST_INVALID)
     def _on_plan_trajectories(
         self, request: PlanTrajectories.Request, response: PlanTrajectories.Response
     ) -> None:

@@ -223,7 +223,7 @@ def test_thresholds_that_are_none(bench: Bench, part: Part, threshold: float) ->
     goal = LocalizePart.Goal(part=reference(part), quality_threshold=threshold)
     answer = localize(bench, goal)
     assert answer.status == GoalStatus.STATUS_ABORTED
-    assert answer.result.status.code == Status.QUALITY_NOT_REACHED
+    assert answer.result.status.code == Status.REQUEST_INVALID
     assert "0 to 1 is accepted" in answer.result.status.message
 
 

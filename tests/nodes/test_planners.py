@@ -227,12 +227,12 @@ def test_poses_that_are_none(bench: Bench, part: Part, path: Any, plan: Any) -> 
     ):
         request.pose = pose_stamped_to_msg(np.eye(4), "odom")
         answer = bench.call(kind, name, request)
-        assert answer.status.code == Status.SCAN_PATH_INVALID
+        assert answer.status.code == Status.REQUEST_INVALID
         assert f"frame '{frame}' is accepted, found 'odom'" in answer.status.message
         request.pose.header.frame_id = frame
         request.pose.pose.position.x = NAN
         answer = bench.call(kind, name, request)
-        assert answer.status.code == Status.SCAN_PATH_INVALID
+        assert answer.status.code == Status.REQUEST_INVALID
         assert "finite" in answer.status.message
 
 

@@ -241,7 +241,7 @@ def test_player_loops(bench: Bench, bag: Path) -> None:
 def test_player_refuses_rates(bench: Bench, bag: Path, value: float) -> None:
     play(bench, bag, start_paused=True)
     answer = bench.call(PlayerSetRate, "player/set_rate", PlayerSetRate.Request(rate=value))
-    assert answer.status.code == Status.BAG_INVALID
+    assert answer.status.code == Status.REQUEST_INVALID
     assert "above 0" in answer.status.message
 
 
@@ -249,7 +249,7 @@ def test_player_refuses_rates(bench: Bench, bag: Path, value: float) -> None:
 def test_player_refuses_places(bench: Bench, bag: Path, value: float) -> None:
     play(bench, bag, start_paused=True)
     answer = bench.call(PlayerSeek, "player/seek", PlayerSeek.Request(offset=value))
-    assert answer.status.code == Status.BAG_INVALID
+    assert answer.status.code == Status.REQUEST_INVALID
     assert "0 to 2.000 s" in answer.status.message
 
 
