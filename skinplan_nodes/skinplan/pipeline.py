@@ -14,6 +14,7 @@ from skinplan.errors import CancelledError, SkinplanError, StageError
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.model import Part
 from skinplan.plan_record import planning_summary, write_plan_files
+from skinplan.robot.arm import JOINT_NAMES
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import ScanPath
 from skinplan.scan_path.plan import plan_scan_path
@@ -78,7 +79,8 @@ class Plan:
             self.path,
             self.station_plan,
             self.trajectories,
-            T_map_workpiece=self.part.T_map_workpiece,
+            JOINT_NAMES,
+            self.part.T_map_workpiece,
         )
 
 

@@ -129,7 +129,7 @@ class Mission:
         plan = self.cell.plan_stations(self.job, path, T_map_workpiece)
         self.data.planning_s["stations"] = time.perf_counter() - begin
         self.data.station_plan = plan
-        self.folder.write_plan(station_plan=plan)
+        self.folder.write_plan(station_plan=plan, T_map_workpiece=T_map_workpiece)
         self.folder.note(f"{len(plan.stations)} stations")
         self._progress = self._progress.planned(plan, self.config.settle_s)
         return plan

@@ -8,9 +8,11 @@ from typing import Any
 
 from skinplan.errors import JobInvalidError
 from skinplan.plan_record import write_json, write_plan_files
+from skinplan.robot.arm import JOINT_NAMES
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import StationPlan
 from skinplan.trajectory.model import StationTrajectory
+from skinplan.transforms import Array
 
 SUMMARY = "summary.json"
 
@@ -78,9 +80,17 @@ class RunFolder:
         path: ScanPath | None = None,
         station_plan: StationPlan | None = None,
         trajectories: Sequence[StationTrajectory] | None = None,
+        T_map_workpiece: Array | None = None,
     ) -> None:
-        """Writes what of the plan is given to ``plan/``."""
-        write_plan_files(self.path / "plan", path, station_plan, trajectories)
+        """Writes what of the plan is given to ``plan/``; the part's place with the stations."""
+        write_plan_files(
+            self.path / "plan",
+            path,
+            station_plan,
+            trajectories,
+            JOINT_NAMES,
+            T_map_workpiece,
+        )
 
     def finish(self, summary: Mapping[str, Any]) -> None:
         """Writes ``summary.json`` in one step; after it nothing is written but the report."""
