@@ -70,7 +70,8 @@ class CellSupervisor(CellNode):
         Parameter(
             "silent_max_s",
             5.0,
-            "A required node without heartbeat for so long of wall time is lost [s].",
+            "A required node without heartbeat for so long of wall time, whose process is gone, is "
+            "lost; four times as long otherwise [s].",
             2.0,
             60.0,
         ),
@@ -232,7 +233,7 @@ class CellSupervisor(CellNode):
             self.get_logger().error(f"job {record.job.job_id}: {record.error}")
 
     def _on_beat(self, message: Heartbeat) -> None:
-        self._watch.beat(message.node, time.monotonic())
+        self._watch.beat(message.node, time.monotonic(), message.pid)
 
     def _on_look(self) -> None:
         here = self.get_namespace()

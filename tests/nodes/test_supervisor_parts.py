@@ -1,7 +1,11 @@
 """The parts of the supervisor that need no graph: watch, switches, progress, run folder."""
 
 import json
+import os
+import subprocess
+import sys
 import threading
+import time
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +18,7 @@ from skinplan_nodes.supervisor.control import AbortError, JobControl
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.run_data import RunData
 from skinplan_nodes.supervisor.run_folder import RunFolder
-from skinplan_nodes.supervisor.watch import NodeWatch
+from skinplan_nodes.supervisor.watch import NodeWatch, process_runs
 
 
 def test_watch_misses_what_it_never_saw() -> None:
@@ -32,6 +36,28 @@ def test_watch_loses_a_silent_node_and_finds_it_again() -> None:
     assert watch.lost(15.1) == "a"
     watch.beat("a", 16.0)
     assert watch.lost(16.5) is None
+
+
+def test_watch_is_patient_with_a_busy_machine() -> None:
+    watch = NodeWatch(("a", "b"), silent_max_s=5.0, process_runs=lambda pid: pid == 7)
+    watch.beat("a", 0.0, pid=7)
+    watch.beat("b", 0.0, pid=8)
+    assert watch.lost(5.0) is None
+    assert watch.lost(5.1) == "b", "its process is gone"
+    assert not watch.is_lost("a", 20.0), "its process runs"
+    assert watch.is_lost("a", 20.1), "it hangs"
+
+
+def test_a_dead_process_does_not_run() -> None:
+    child = subprocess.Popen([sys.executable, "-S", "-c", ""])
+    assert process_runs(os.getpid())
+    deadline = time.monotonic() + 20.0
+    while process_runs(child.pid):
+        assert time.monotonic() < deadline, "a zombie does not count as running"
+        time.sleep(0.01)
+    child.wait()
+    assert not process_runs(child.pid)
+    assert not process_runs(0)
 
 
 def test_watch_loses_a_node_that_left_the_graph() -> None:

@@ -40,7 +40,7 @@ def test_what_is_written_is_read_again(part, tmp_path):
         again.fixture.T_workpiece_fixture, part.fixture.T_workpiece_fixture, atol=1e-11
     )
     assert [marker.id for marker in again.fixture.markers] == [0, 1]
-    assert again.fixture.T_workpiece_marker(1)[1, 3] == pytest.approx(-0.4)
+    assert again.fixture.T_workpiece_marker(1)[1, 3] == pytest.approx(-0.5)
 
 
 def test_writing_what_was_read_gives_the_same_bytes(part, tmp_path):

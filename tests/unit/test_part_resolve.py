@@ -89,6 +89,15 @@ def test_default_fixture_and_placement():
     assert T[2, 3] == pytest.approx(1.05)
 
 
+@pytest.mark.parametrize("half_height", [0.1, 0.3, 0.5, 0.8])
+def test_markers_hang_low_enough_for_the_camera(half_height):
+    bounds = np.array([[-0.5, -half_height, 0.0], [0.5, half_height, 0.1]])
+    fixture = default_fixture(bounds)
+    height = (default_placement(bounds) @ fixture.T_workpiece_marker(0))[2, 3]
+    assert height <= 0.55 + 1e-9
+    assert fixture.T_workpiece_marker(0)[1, 3] <= -half_height - 0.1 + 1e-9
+
+
 def test_a_high_part_stands_clear_of_the_floor_and_a_short_one_has_two_markers():
     bounds = np.array([[-0.15, -0.7, 0.0], [0.15, 0.7, 0.1]])
     assert default_placement(bounds)[2, 3] == pytest.approx(1.25)

@@ -15,6 +15,8 @@ MARKER_PITCH_M = 0.40
 MARKER_DROP_M = 0.10
 _LEAST_CENTRE_HEIGHT_M = 1.05
 _LEAST_EDGE_HEIGHT_M = 0.55
+# Higher markers leave the image of the camera (0.45 m above the floor) when it comes near.
+_MOST_MARKER_HEIGHT_M = 0.55
 _UPRIGHT = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])
 
 
@@ -22,7 +24,8 @@ def default_fixture(bounds: Array) -> Fixture:
     """Makes a fixture with a row of markers below the lower edge of a part.
 
     The fixture frame stands parallel to the workpiece, its origin in the middle of the row. Markers
-    of 0.10 m stand every 0.40 m over the length of the part, at least two, numbered from 0 along x.
+    of 0.10 m stand every 0.40 m over the length of the part, at least two, numbered from 0 along x;
+    the row is 0.10 m below the edge, or lower where it would be too high for the camera.
 
     Args:
         bounds: Box of the part in the workpiece frame, shape (2, 3) [m].
@@ -45,7 +48,9 @@ def default_fixture(bounds: Array) -> Fixture:
         Marker(number, MARKER_SIZE_M, transform((round(float(x), 6), 0.0, 0.0)))
         for number, x in enumerate(places)
     )
-    origin = (round(middle, 6), round(float(bounds[0, 1]) - MARKER_DROP_M, 6), 0.0)
+    floor = -float(default_placement(bounds)[2, 3])
+    row = min(float(bounds[0, 1]) - MARKER_DROP_M, floor + _MOST_MARKER_HEIGHT_M)
+    origin = (round(middle, 6), round(row, 6), 0.0)
     return Fixture(DICTIONARY, transform(origin), markers)
 
 

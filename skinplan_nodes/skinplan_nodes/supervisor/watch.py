@@ -1,7 +1,17 @@
 """Which nodes of the cell are alive, judged by their heartbeats and by the graph. Needs no ROS."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+
+import psutil
+
+
+def process_runs(pid: int) -> bool:
+    """Whether a process of this machine runs; a dead one that nobody has waited for does not."""
+    try:
+        return pid > 0 and psutil.Process(pid).status() != psutil.STATUS_ZOMBIE
+    except psutil.Error:
+        return False
 
 
 @dataclass
@@ -9,24 +19,31 @@ class NodeWatch:
     """Heartbeats of the nodes that a job needs, on wall time.
 
     A node is lost when it was seen alive and then either stays silent or is no longer in the graph.
+    A machine that is too busy also silences nodes, so one whose process still runs gets longer.
 
     Attributes:
         required: Names of the nodes, without namespace.
-        silent_max_s: A node that is silent for longer is lost [s].
+        silent_max_s: A node that is silent for longer and whose process is gone is lost [s].
+        patience: A node whose process runs is lost after so many times longer [1].
+        process_runs: Tells whether a process of this machine runs.
     """
 
     required: tuple[str, ...]
     silent_max_s: float = 5.0
+    patience: float = 4.0
+    process_runs: Callable[[int], bool] = process_runs
     _last_beat_s: dict[str, float] = field(default_factory=dict)
+    _pids: dict[str, int] = field(default_factory=dict)
     _gone: dict[str, int] = field(default_factory=dict)
 
     # The graph of a loaded machine may miss a node for one look: two in a row count.
     _LOOKS = 2
 
-    def beat(self, node: str, now_s: float) -> None:
-        """Notes a heartbeat of a node (fully qualified name or plain name)."""
+    def beat(self, node: str, now_s: float, pid: int = 0) -> None:
+        """Notes a heartbeat of a node (fully qualified name or plain name) and its process."""
         name = node.rsplit("/", 1)[-1]
         self._last_beat_s[name] = now_s
+        self._pids[name] = pid
         self._gone.pop(name, None)
 
     def look(self, names_in_graph: Iterable[str]) -> None:
@@ -51,5 +68,11 @@ class NodeWatch:
         """Whether a node was seen and is silent, or gone from the graph, since."""
         if name not in self._last_beat_s:
             return False
-        silent = now_s - self._last_beat_s[name] > self.silent_max_s
-        return silent or self._gone.get(name, 0) >= self._LOOKS
+        if self._gone.get(name, 0) >= self._LOOKS:
+            return True
+        silent_s = now_s - self._last_beat_s[name]
+        if silent_s <= self.silent_max_s:
+            return False
+        return silent_s > self.patience * self.silent_max_s or not self.process_runs(
+            self._pids[name]
+        )
