@@ -26,7 +26,7 @@ HERE = Path(__file__).parent
 #: Imported together in one process at the end: shared libraries that do not go together show here
 #: and not in a run.
 _IMPORTS = """
-import numpy, scipy.optimize, trimesh, embreex, cv2, pinocchio, coal, eaik, roboplan, mcap
+import numpy, scipy.optimize, trimesh, embreex, cv2, pinocchio, coal, eaik, toppra, mcap
 import rclpy, control_msgs.action, nav2_msgs.action, tf2_msgs.msg
 import skinplan_msgs.msg, skinplan_msgs.srv, skinplan_msgs.action
 import skinplan, skinplan_nodes

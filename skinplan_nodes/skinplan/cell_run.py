@@ -118,7 +118,8 @@ class CellRun:
 
 @contextmanager
 def _program(arguments: list[str]) -> Iterator[Iterator[dict[str, Any]]]:
-    command = [sys.executable, "-m", "skinplan_nodes.runner", *arguments]
+    # -P: a folder of that name in the present one is not the package.
+    command = [sys.executable, "-P", "-m", "skinplan_nodes.runner", *arguments]
     program = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, bufsize=1)
     assert program.stdout is not None
     try:

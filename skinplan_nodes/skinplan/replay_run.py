@@ -35,7 +35,7 @@ def replay_bag(bag: Path, rate: float, start_s: float) -> bool:
         "start_offset_s": float(start_s),
         "exit_at_end": "true",
     }
-    command = [sys.executable, "-m", "skinplan_nodes.bag_player", "--ros-args"]
+    command = [sys.executable, "-P", "-m", "skinplan_nodes.bag_player", "--ros-args"]
     for name, value in parameters.items():
         command += ["-p", f"{name}:={value}"]
     player = subprocess.Popen(command, stdout=sys.stderr)

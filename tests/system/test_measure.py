@@ -11,12 +11,14 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import trimesh
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-from nodes.small_part import write_small_part
+import meshes
 from skinplan.inspection.cloud import read_ply
+from skinplan.part.resolve import resolve_part
 from skinplan.robot.cell import CellConfig
 from system.graph_run import GraphRun
 
@@ -46,7 +48,11 @@ for number in (JobCommand.Request.PAUSE, JobCommand.Request.PAUSE, JobCommand.Re
 
 @pytest.fixture(scope="module")
 def part_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    source = write_small_part(tmp_path_factory.mktemp("part")).source
+    """A panel with a bump; high enough for its markers to stay in view near by."""
+    folder = tmp_path_factory.mktemp("part")
+    surface = meshes.grid(0.6, 0.5, 0.01, lambda x, y: meshes.bump(x, y, 0.03, 0.06))
+    trimesh.Trimesh(surface.vertices, surface.faces, process=False).export(folder / "panel.stl")
+    source = resolve_part(str(folder / "panel.stl"), "m", folder).source
     assert source is not None
     return source
 
