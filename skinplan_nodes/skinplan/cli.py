@@ -19,7 +19,7 @@ from skinplan.mesh.load import load_mesh
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
 from skinplan.part.samples import SAMPLE_TITLES, SAMPLES, write_sample
-from skinplan.pipeline import plan_part
+from skinplan.pipeline import check_strategies, plan_part
 from skinplan.plan_record import write_json
 from skinplan.recording.reader import open_bag
 from skinplan.replay_run import replay_bag
@@ -267,6 +267,7 @@ def _with_strategies(
         station_strategy=stations or part.scan.station_strategy,
         order_strategy=order or part.scan.order_strategy,
     )
+    check_strategies(scan)
     return replace(part, scan=scan)
 
 

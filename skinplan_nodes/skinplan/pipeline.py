@@ -12,18 +12,22 @@ from typing import Any, TypeVar
 
 from skinplan.errors import CancelledError, SkinplanError, StageError
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
-from skinplan.part.model import Part
+from skinplan.part.model import Part, ScanSettings
 from skinplan.plan_record import planning_summary, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import ScanPath
+from skinplan.scan_path.plan import STRATEGIES as SCAN_PATH_STRATEGIES
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan.scanner.model import CoverageFigures
 from skinplan.scanner.predict import predict_coverage
 from skinplan.stations.model import StationPlan
+from skinplan.stations.plan import STRATEGIES as STATION_STRATEGIES
 from skinplan.stations.plan import plan_stations
+from skinplan.strategies import chosen
 from skinplan.trajectory.cycle import CycleTime, cycle_time
 from skinplan.trajectory.model import StationTrajectory
+from skinplan.trajectory.plan import STRATEGIES as ORDER_STRATEGIES
 from skinplan.trajectory.plan import plan_trajectories
 
 Progress = Callable[[float, str], None]
@@ -134,6 +138,17 @@ class StageRunner:
     def within(self, stage: str) -> Progress:
         """Returns the progress callback that a stage gets."""
         return lambda fraction, text: self.report(stage, fraction, text)
+
+
+def check_strategies(scan: ScanSettings) -> None:
+    """Makes sure that all strategies asked for exist, before anything is done.
+
+    Raises:
+        StrategyUnknownError: One does not; the message lists those that do.
+    """
+    chosen("scan path", scan.strategy, SCAN_PATH_STRATEGIES)
+    chosen("station", scan.station_strategy, STATION_STRATEGIES)
+    chosen("order", scan.order_strategy, ORDER_STRATEGIES)
 
 
 def plan_part(

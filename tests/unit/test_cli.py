@@ -116,6 +116,8 @@ def test_a_wing_of_kilometres_is_refused_with_the_likely_unit(tmp_path, command)
     [
         (("plan", "scene9"), ("scene9", "scene4")),
         (("plan", "scene1", "--strategy", "magic"), ("magic", "published")),
+        (("run", "scene1", "--stations", "magic"), ("magic", "rectangles")),
+        (("run", "scene1", "--order", "magic"), ("magic", "published")),
         (("plan", "scene1", "--cell", "no-such-cell.yaml"), ("no-such-cell.yaml",)),
         (("parts", "export", "scene9", "."), ("scene9", "scene1")),
         (("replay", "no-such-bag"), ("no-such-bag",)),

@@ -4,12 +4,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from skinplan.errors import InputError, MeshEmptyError, MeshNotFiniteError, StrategyUnknownError
+from skinplan.errors import InputError, MeshEmptyError, MeshNotFiniteError
 from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.part.settings import check_settings
 from skinplan.scan_path import published
 from skinplan.scan_path.model import ScanPath
+from skinplan.strategies import chosen
 
 STRATEGIES: dict[str, Callable[[SurfaceMesh, Segmentation, ScanSettings], ScanPath]] = {
     "published": published.published_path,
@@ -34,13 +35,9 @@ def plan_scan_path(
         PartInvalidError: A setting out of range.
         MeshError: Nothing that can be planned on.
     """
-    if settings.strategy not in STRATEGIES:
-        raise StrategyUnknownError(
-            f"scan path strategy {settings.strategy!r} is not available; accepted are "
-            f"{', '.join(sorted(STRATEGIES))}"
-        )
+    strategy = chosen("scan path", settings.strategy, STRATEGIES)
     _check(mesh, segmentation)
-    return STRATEGIES[settings.strategy](mesh, segmentation, check_settings(settings))
+    return strategy(mesh, segmentation, check_settings(settings))
 
 
 def rows_only_path(

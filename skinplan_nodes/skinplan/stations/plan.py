@@ -12,7 +12,6 @@ from skinplan.errors import (
     NoCandidatesError,
     NothingReachedError,
     ScanPathInvalidError,
-    StrategyUnknownError,
 )
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.model import ScanSettings
@@ -25,6 +24,7 @@ from skinplan.stations.candidates import floor_frame, make_candidates, refined_c
 from skinplan.stations.cover import WANTED_SPACING_RATIO, choose
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.stations.rectangle import workspace_rectangle
+from skinplan.strategies import chosen
 from skinplan.transforms import Array, apply, inverse, planar, require_transform, rotate
 
 _LOG = logging.getLogger(__name__)
@@ -123,16 +123,12 @@ def plan_stations(
         NothingReachedError: The arm reaches no point from any station.
         CancelledError: The caller asked to stop.
     """
-    if settings.station_strategy not in STRATEGIES:
-        known = ", ".join(sorted(STRATEGIES))
-        raise StrategyUnknownError(
-            f"no station strategy {settings.station_strategy!r}; available: {known}"
-        )
+    strategy = chosen("station", settings.station_strategy, STRATEGIES)
     _require_path(path)
     T_map_workpiece = require_transform(T_map_workpiece, "T_map_workpiece")
     tell = progress or (lambda share, text: None)
     tell(0.0, "candidates")
-    proposal = STRATEGIES[settings.station_strategy](path, T_map_workpiece, settings, cell)
+    proposal = strategy(path, T_map_workpiece, settings, cell)
     poses, reaches, reasons = _true_reach(
         proposal, path, T_map_workpiece, mesh, settings, cell, tell, is_cancelled
     )

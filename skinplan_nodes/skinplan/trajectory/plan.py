@@ -12,7 +12,6 @@ from skinplan.errors import (
     NoTrajectoryError,
     ScanPathInvalidError,
     StartStateError,
-    StrategyUnknownError,
 )
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.model import ScanSettings
@@ -21,6 +20,7 @@ from skinplan.robot.collision import CollisionWorld
 from skinplan.robot.reach import Views, reach
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import SkippedPoint, StationPlan
+from skinplan.strategies import chosen
 from skinplan.trajectory.assemble import collision_edges, timed_segments
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.trajectory.order import published_order
@@ -74,7 +74,7 @@ def plan_station_trajectory(
         NoTrajectoryError: No point can be scanned.
         CancelledError: The caller asked to stop.
     """
-    order_of = _strategy(settings.order_strategy)
+    order_of = chosen("order", settings.order_strategy, STRATEGIES)
     points = _require_points(path, points)
     tell = _rising(progress)
     world = CollisionWorld(
@@ -192,14 +192,6 @@ def _rising(progress: Progress | None) -> Progress:
             progress(most, text)
 
     return tell
-
-
-def _strategy(name: str) -> Order:
-    if name not in STRATEGIES:
-        raise StrategyUnknownError(
-            f"no order strategy {name!r}; available: {', '.join(sorted(STRATEGIES))}"
-        )
-    return STRATEGIES[name]
 
 
 def _require_points(path: ScanPath, points: NDArray[np.int64]) -> NDArray[np.int64]:
