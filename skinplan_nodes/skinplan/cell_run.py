@@ -171,7 +171,7 @@ def _require_nodes() -> None:
 
 
 def _status_text(event: dict[str, Any]) -> str:
-    text = str(event["sub_state"] or event["state"]).lower()
+    text = str(event["sub_state"] or event["state"])
     if event.get("station"):
         text += f" (station {event['station']} of {event['station_count']})"
     return text

@@ -304,12 +304,12 @@ def _show_run(document: dict[str, Any]) -> None:
     localization = document.get("localization") or []
     rows = [
         ("job", f"{document['job']['id']}: {document['job']['state']}"),
-        ("stations", len(localization)),
+        ("stations", (document.get("stations") or {}).get("count", "none")),
         ("quality E", ", ".join(f"{entry['E']:.2f}" for entry in localization if entry.get("E"))),
         ("area measured", _percent(measured.get("area_ratio"))),
         ("… of the features", _percent(measured.get("feature_area_ratio"))),
         ("deviation (rms)", _millimetres(measured.get("deviation_rms_m"))),
-        ("folder", document.get("folder", "")),
+        ("folder", document.get("folder") or "none"),
     ]
     console.print_table("Run", ("what", "value"), rows)
 
