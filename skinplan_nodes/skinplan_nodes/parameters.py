@@ -59,6 +59,7 @@ class Parameter:
 
 #: Of the nodes that need the cell's figures.
 CELL_FILE = Parameter("cell_file", "", "Absolute path of the cell file; empty = the default cell.")
+MESHES_KEPT = Parameter("meshes_kept", 4, "Prepared meshes that are kept in memory [1].", 1, 32)
 
 
 def declare(node: Node, table: Iterable[Parameter]) -> SimpleNamespace:

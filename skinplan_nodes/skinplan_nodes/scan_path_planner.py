@@ -15,7 +15,7 @@ from skinplan.scan_path.plan import plan_scan_path
 from skinplan.scanner.predict import predict_coverage
 from skinplan_nodes.conversions import PathFacts, scan_path_to_msg
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import Parameter
+from skinplan_nodes.parameters import MESHES_KEPT
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.qos import LATCHED
 from skinplan_nodes.replies import replies_in_thread
@@ -26,9 +26,7 @@ class ScanPathPlanner(CellNode):
     """Serves ``plan_scan_path``; publishes the last path on ``scan_path``."""
 
     NAME = "scan_path_planner"
-    PARAMETERS = (
-        Parameter("meshes_kept", 4, "Prepared meshes that are kept in memory [1].", 1, 32),
-    )
+    PARAMETERS = (MESHES_KEPT,)
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)

@@ -14,7 +14,7 @@ from skinplan_msgs.srv import PlanStations
 from skinplan.stations.plan import plan_stations
 from skinplan_nodes.conversions import pose_stamped_from_msg, station_plan_to_msg
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import CELL_FILE, Parameter
+from skinplan_nodes.parameters import CELL_FILE, MESHES_KEPT
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.planning import configured_cell, requested_path
 from skinplan_nodes.qos import LATCHED
@@ -28,7 +28,7 @@ class StationPlanner(CellNode):
     NAME = "station_planner"
     PARAMETERS = (
         CELL_FILE,
-        Parameter("meshes_kept", 4, "Prepared meshes that are kept in memory [1].", 1, 32),
+        MESHES_KEPT,
     )
 
     def __init__(self, **kwargs: Any) -> None:

@@ -26,7 +26,7 @@ from skinplan_nodes.conversions import (
     trajectory_plan_to_msg,
 )
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import CELL_FILE, Parameter
+from skinplan_nodes.parameters import CELL_FILE, MESHES_KEPT
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.planning import configured_cell, requested_path
 from skinplan_nodes.qos import LATCHED
@@ -65,7 +65,7 @@ class TrajectoryPlanner(CellNode):
     NAME = "trajectory_planner"
     PARAMETERS = (
         CELL_FILE,
-        Parameter("meshes_kept", 4, "Prepared meshes that are kept in memory [1].", 1, 32),
+        MESHES_KEPT,
     )
 
     def __init__(self, **kwargs: Any) -> None:
