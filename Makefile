@@ -6,13 +6,17 @@ BIN := .venv/bin
 PYTEST := $(BIN)/python -m pytest
 
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test test-long lint format lock clean
+.PHONY: help setup extras demo test test-long lint format lock clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z-]*\):[^#]*## \(.*\)/  make \1\t\2/p' Makefile | expand -t 20
 
 setup: ## virtual environment, locked packages, interface packages; quick when nothing changed
 	@python=$$(PYTHON='$(PYTHON)' sh ros2_ws/find_python.sh) && cd ros2_ws && "$$python" -B -m bootstrap
+
+extras: setup ## optional packages: reading STEP files, peers of the benchmarks
+	$(BIN)/python -m pip install --no-input --progress-bar off --disable-pip-version-check --no-deps --require-hashes \
+		-r requirements/lock-extras.txt
 
 demo: setup ## measure sample part scene4 on the mock cell
 	$(BIN)/skinplan run scene4

@@ -27,3 +27,5 @@ compile lock-wheels.txt requirements.in requirements-ros.in requirements-dev.in
 compile lock-system-ros.txt requirements.in requirements-dev.in -c lock-wheels.txt
 # What builds packages.
 compile lock-build.txt requirements-build.in -c lock-wheels.txt
+# What is optional, beside the versions that are installed anyway.
+compile lock-extras.txt requirements-extras.in -c lock-wheels.txt

@@ -186,7 +186,8 @@ class Setup:
             # Modules of a sourced installation must not count as installed here.
             self._tool(command, what, PYTHONPATH="")
         # What is no longer in the lock would hide that something still needs it.
-        unlocked = packages_not_locked(self._paths.site_packages, self._locks)
+        known = [*self._locks, self._paths.root / "requirements" / "lock-extras.txt"]
+        unlocked = packages_not_locked(self._paths.site_packages, known)
         if unlocked:
             command = [self._paths.python, "-m", "pip", "uninstall", "--yes", *unlocked]
             self._tool(command, "removing packages that are no longer in the lock")

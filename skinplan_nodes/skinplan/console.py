@@ -42,7 +42,10 @@ def command(as_json: bool) -> Iterator[None]:
         code = exit_code(error)
         stderr.print(f"[bold red]skinplan:[/] {_escaped(str(error))}", soft_wrap=True)
         if as_json:
-            print_json({"error": {"kind": type(_root(error)).__name__, "message": str(error)}})
+            root = _root(error)
+            findings = [vars(finding) for finding in getattr(root, "findings", ())]
+            document = {"kind": type(root).__name__, "message": str(error)}
+            print_json({"error": {**document, **({"findings": findings} if findings else {})}})
         raise typer.Exit(code) from None
 
 

@@ -5,6 +5,11 @@ nodes map the classes to the codes of ``skinplan_msgs/Status`` in one table; the
 `InputError` to exit code 2 and the rest to 1.
 """
 
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from skinplan.mesh.model import Finding
+
 
 class SkinplanError(Exception):
     """Base of everything that the library raises on purpose."""
@@ -31,7 +36,16 @@ class StrategyUnknownError(InputError):
 
 
 class MeshError(InputError):
-    """Base of everything that is wrong with a mesh."""
+    """Base of everything that is wrong with a mesh.
+
+    Attributes:
+        findings: What the mesh doctor found up to then, the reason of the refusal last; empty when
+            the file could not be read at all.
+    """
+
+    def __init__(self, message: str, findings: "tuple[Finding, ...]" = ()) -> None:
+        super().__init__(message)
+        self.findings = findings
 
 
 class MeshNotFoundError(MeshError):
@@ -60,6 +74,10 @@ class MeshHashError(MeshError):
 
 class MeshRefusedError(MeshError):
     """The mesh is readable but can't be planned on."""
+
+
+class MeshExtraMissingError(MeshUnreadableError):
+    """The file's format needs an optional package that is not installed."""
 
 
 class ScanPathInvalidError(InputError):
@@ -172,3 +190,31 @@ class StageError(SkinplanError):
         self.stage = stage
         self.index = index
         self.cause = cause
+
+
+class InspectionPointsError(InputError):
+    """Measuring points or normals that are missing, not finite, or not in metres."""
+
+
+class NoTrackerStationError(SkinplanError):
+    """No place from which the tracker sees the target at all poses."""
+
+
+class ViewerMissingError(SkinplanError):
+    """The package that shows scenes in the browser is not installed."""
+
+
+class PortBusyError(InputError):
+    """No network port that was asked for is free."""
+
+
+class NothingMissingError(SkinplanError):
+    """A re-scan was asked for, and nothing that could be scanned is missing."""
+
+
+class TrackerBlindError(NothingReachedError):
+    """The tracker does not see the scanner anywhere where the arm could bring it."""
+
+
+class LimitsExcludeError(NothingReachedError):
+    """Every solution of the inverse kinematics is outside the joint limits."""

@@ -98,12 +98,19 @@ def test_repairing_twice_changes_nothing():
 
 def test_refused_meshes():
     corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
-    solid = SurfaceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
-    with pytest.raises(MeshRefusedError, match="closed solid"):
-        check_mesh(solid)
+    faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
     with pytest.raises(MeshRefusedError, match="degenerate"):
         check_mesh(SurfaceMesh(corners, np.array([[0, 0, 1], [2, 2, 2]])))
     with pytest.raises(MeshEmptyError):
         check_mesh(SurfaceMesh(corners, np.zeros((0, 3), dtype=np.int64)))
     with pytest.raises(MeshNotFiniteError):
-        check_mesh(SurfaceMesh(corners * np.nan, solid.faces))
+        check_mesh(SurfaceMesh(corners * np.nan, faces))
+
+
+def test_of_a_closed_solid_the_side_of_the_scanner_is_left():
+    """A corner tetrahedron: seen from above only its slanted face."""
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    solid = SurfaceMesh(corners, np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]]))
+    mesh, findings = check_mesh(solid)
+    assert names(findings)["closed solid"] == (1, "repaired")
+    np.testing.assert_allclose(mesh.face_normals, [np.full(3, 3**-0.5)])

@@ -8,7 +8,7 @@ import pytest
 from bootstrap.setup import packages_not_locked
 
 FOLDER = Path(__file__).resolve().parents[2] / "requirements"
-LOCKS = ("lock-build.txt", "lock-system-ros.txt", "lock-wheels.txt")
+LOCKS = ("lock-build.txt", "lock-extras.txt", "lock-system-ros.txt", "lock-wheels.txt")
 ENTRY = re.compile(r"^(?P<name>[a-z0-9-]+)==(?P<version>\S+)( ; (?P<marker>[^\\]+))? \\$")
 
 
@@ -46,6 +46,12 @@ def test_requirements_are_in_the_lock():
     wanted = [n for kind in ("", "-ros", "-dev") for n in read_names(f"requirements{kind}.in")]
     assert set(wanted) <= read_lock("lock-wheels.txt").keys()
     assert set(read_names("requirements-build.in")) <= read_lock("lock-build.txt").keys()
+
+
+def test_extras_are_locked_at_the_versions_of_the_rest():
+    extras, wheels = read_lock("lock-extras.txt"), read_lock("lock-wheels.txt")
+    assert set(read_names("requirements-extras.in")) <= extras.keys()
+    assert all(wheels[name] == extras[name] for name in extras.keys() & wheels.keys())
 
 
 def test_full_installation_gets_the_same_versions_and_no_ros():

@@ -1,189 +1,159 @@
 """The mesh doctor: what is wrong with a mesh, what is repaired, what is refused.
 
-Repairs, in this order; each is safe and doing them twice changes nothing:
+Repairs; each is safe, and doing them twice changes nothing:
 
-1. Faces without area and faces that name the same three vertices as another are removed.
-2. Connected parts smaller than 1 % of the largest are debris and removed.
-3. The faces of each connected part are wound alike; the part then looks outward, which in the
-   workpiece frame is +z: it is turned when its area-weighted mean normal has a negative z.
+1. Vertices that no face uses are removed.
+2. Vertices on open edges that differ by rounding noise (1e-6 of the part's size) are made one.
+3. Faces without area and faces that name the same three vertices as another are removed.
+4. Connected parts smaller than 1 % of the largest are debris and removed, flaps below 0.1 % too; so
+   are parts that can't be seen from the scanner's side, such as the inner of two parallel skins.
+5. The faces of each connected part are wound alike; the part then looks to the scanner's side.
+6. Of a closed solid or a double skin only the side that faces the scanner is kept.
 
-Noted only: holes, non-manifold edges, several parts, a surface of which much looks away from the
-scanner.
-Refused: nothing left, closed solids, more than 10 million faces.
+Noted only: an unusual size, several parts, holes, open cracks, T-junctions, non-manifold edges,
+one-sided parts, a surface of which much looks away from the scanner or stands upright.
+Refused: nothing left, nothing that faces the scanner, more than 10 million faces, numbers that are
+not finite.
 """
 
 import logging
+from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
-from skinplan.errors import MeshEmptyError, MeshNotFiniteError, MeshRefusedError
+from skinplan.errors import InputError, MeshEmptyError, MeshNotFiniteError, MeshRefusedError
+from skinplan.mesh.doctor.boundary import note_crowded_edges, note_holes, note_t_junctions
+from skinplan.mesh.doctor.faces import drop_flat_faces, drop_repeated_faces, drop_unused_vertices
+from skinplan.mesh.doctor.parts import drop_debris, drop_hidden_parts, note_parts
+from skinplan.mesh.doctor.patient import Patient
+from skinplan.mesh.doctor.sides import keep_one_side, note_facing_away
+from skinplan.mesh.doctor.weld import weld_cracks
+from skinplan.mesh.doctor.winding import note_one_sided, wind_alike
+from skinplan.mesh.formats.raw import MOST_FACES
 from skinplan.mesh.model import Finding, SurfaceMesh
-from skinplan.mesh.topology import EdgeTable, compact, components, edge_table, winding_signs
+from skinplan.mesh.units import unit_doubts
+from skinplan.transforms import Array
 
-DEBRIS_RATIO = 0.01
-_LEAST_HEIGHT_M = 1e-7
-_MOST_FACES = 10_000_000
-_AWAY_RATIO = 0.1
+_REPAIRS: tuple[Callable[[Patient, list[Finding]], Patient], ...] = (
+    drop_unused_vertices,
+    weld_cracks,
+    drop_flat_faces,
+    drop_repeated_faces,
+    drop_debris,
+    drop_hidden_parts,
+    wind_alike,
+    keep_one_side,
+)
+_NOTES: tuple[Callable[[Patient, list[Finding]], None], ...] = (
+    note_parts,
+    note_crowded_edges,
+    note_t_junctions,
+    note_holes,
+    note_one_sided,
+    note_facing_away,
+)
+# One repair can make room for the next; each removes or turns something, so this ends early.
+_MOST_ROUNDS = 20
 _log = logging.getLogger(__name__)
 
 
-def check_mesh(mesh: SurfaceMesh) -> tuple[SurfaceMesh, tuple[Finding, ...]]:
+def check_mesh(
+    mesh: SurfaceMesh, toward: ArrayLike = (0.0, 0.0, 1.0)
+) -> tuple[SurfaceMesh, tuple[Finding, ...]]:
     """Examines and repairs a mesh.
 
     Args:
         mesh: As loaded.
+        toward: The side that the scanner is on, shape (3,), in the mesh's frame; by convention the
+            outward side of a part is +z of its workpiece frame.
 
     Returns:
         The repaired mesh (same hash: it names the file), and what was found.
 
     Raises:
+        InputError: `toward` is no direction.
         MeshEmptyError: No faces.
         MeshNotFiniteError: A vertex is NaN or infinite.
-        MeshRefusedError: It can't be planned on.
+        MeshRefusedError: It can't be planned on; the error's `findings` say why.
     """
-    _require_faces(mesh)
+    patient = Patient(_checked(mesh), _direction(toward))
     findings: list[Finding] = []
-    mesh = _without_useless_faces(mesh, findings)
-    mesh = _without_debris(mesh, findings)
-    edges = edge_table(mesh.faces)
-    mesh = _wound_alike(mesh, edges, findings)
-    _note(mesh, edges, findings)
-    for finding in findings:
+    try:
+        for _ in range(_MOST_ROUNDS):
+            before = patient
+            for repair in _REPAIRS:
+                patient = repair(patient, findings)
+            if patient is before:
+                break
+    except MeshRefusedError as error:
+        raise MeshRefusedError(str(error), _merged(error.findings)) from None
+    extent = float(np.ptp(patient.mesh.bounds, axis=0).max())
+    findings += unit_doubts(extent)
+    for note in _NOTES:
+        note(patient, findings)
+    merged = _merged(findings)
+    for finding in merged:
         _log.info(
             "mesh: %d %s, %s: %s", finding.count, finding.name, finding.action, finding.detail
         )
-    return mesh, tuple(findings)
+    return patient.mesh, merged
 
 
-def _require_faces(mesh: SurfaceMesh) -> None:
-    if len(mesh.faces) == 0 or len(mesh.vertices) == 0:
+def _direction(toward: ArrayLike) -> Array:
+    vector = np.asarray(toward, dtype=float)
+    length = float(np.linalg.norm(vector)) if vector.shape == (3,) else 0.0
+    if not (np.isfinite(length) and length > 0):
+        raise InputError(
+            f"the scanner's side {toward!r} was given; a direction of three finite numbers, not "
+            "all 0, is accepted"
+        )
+    return vector / length
+
+
+def _checked(mesh: SurfaceMesh) -> SurfaceMesh:
+    vertices, faces = np.asarray(mesh.vertices, dtype=float), np.asarray(mesh.faces)
+    if len(faces) == 0 or len(vertices) == 0:
         raise MeshEmptyError("the mesh has no faces; a mesh with at least one face is accepted")
-    if len(mesh.faces) > _MOST_FACES:
-        raise MeshRefusedError(
-            f"the mesh has {len(mesh.faces)} faces; up to {_MOST_FACES} are accepted: decimate "
-            "it, 5 mm triangles are enough"
+    if vertices.shape[1:] != (3,) or faces.shape[1:] != (3,) or faces.dtype.kind not in "iu":
+        raise InputError(
+            f"vertices of shape {vertices.shape} and faces of shape {faces.shape} and type "
+            f"{faces.dtype} were given; (v, 3) and whole numbers (f, 3) are accepted"
         )
-    broken = int(np.count_nonzero(~np.isfinite(mesh.vertices).all(axis=1)))
-    if broken:
-        raise MeshNotFiniteError(
-            f"{broken} vertices are NaN or infinite; finite numbers are accepted"
+    if len(faces) > MOST_FACES:
+        raise _refusal(
+            "huge mesh",
+            len(faces),
+            f"the mesh has {len(faces)} faces; up to {MOST_FACES} are accepted: decimate it, 5 mm "
+            "triangles are enough",
         )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        strange = int(np.count_nonzero(((faces < 0) | (faces >= len(vertices))).any(axis=1)))
+        raise _refusal(
+            "faces without vertices",
+            strange,
+            f"{strange} faces name vertices that the mesh does not have; numbers from 0 to "
+            f"{len(vertices) - 1} are accepted",
+        )
+    if not np.isfinite(vertices).all():
+        broken = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
+        message = f"{broken} vertices are NaN or infinite; finite numbers are accepted"
+        finding = Finding("vertices not finite", broken, "refused", message)
+        raise MeshNotFiniteError(message, (finding,))
+    return replace(mesh, vertices=vertices, faces=faces.astype(np.int64, copy=False))
 
 
-def _without_useless_faces(mesh: SurfaceMesh, findings: list[Finding]) -> SurfaceMesh:
-    sides = np.linalg.norm(mesh.corners - np.roll(mesh.corners, 1, axis=1), axis=2).max(axis=1)
-    flat = 2 * mesh.face_areas <= _LEAST_HEIGHT_M * sides
-    names = np.sort(mesh.faces, axis=1)
-    _, first = np.unique(names @ _row_weights(len(mesh.vertices)), return_index=True)
-    twice = np.ones(len(names), dtype=bool)
-    twice[first] = False
-    twice &= ~flat
-    keep = ~flat & ~twice
-    if flat.any():
-        findings.append(
-            Finding(
-                "degenerate faces", int(flat.sum()), "repaired", "faces without area were removed"
-            )
-        )
-    if twice.any():
-        findings.append(
-            Finding("duplicate faces", int(twice.sum()), "repaired", "the first of each was kept")
-        )
-    if not keep.any():
-        raise MeshRefusedError(
-            f"all {len(keep)} faces are degenerate; a mesh with area is accepted"
-        )
-    return compact(mesh, keep)
+def _refusal(name: str, count: int, message: str) -> MeshRefusedError:
+    return MeshRefusedError(message, (Finding(name, count, "refused", message),))
 
 
-def _row_weights(vertices: int) -> NDArray[np.uint64]:
-    """Weights that make one number of three vertex numbers; exact below 2 million vertices."""
-    base = np.uint64(max(vertices, 1))
-    if vertices < 2_000_000:
-        return np.array([base * base, base, 1], dtype=np.uint64)
-    return np.array([0x9E3779B97F4A7C15, 0xC2B2AE3D27D4EB4F, 0x165667B19E3779F9], dtype=np.uint64)
-
-
-def _without_debris(mesh: SurfaceMesh, findings: list[Finding]) -> SurfaceMesh:
-    found, labels = components(len(mesh.faces), edge_table(mesh.faces).pairs)
-    areas = np.bincount(labels, weights=mesh.face_areas, minlength=found)
-    debris = areas < DEBRIS_RATIO * areas.max()
-    if debris.any():
-        detail = (
-            f"parts below {DEBRIS_RATIO:.0%} of the largest were removed, "
-            f"{int(np.isin(labels, np.flatnonzero(debris)).sum())} faces, "
-            f"{areas[debris].sum() * 1e4:.1f} cm2 in all"
-        )
-        findings.append(Finding("debris", int(debris.sum()), "repaired", detail))
-        mesh = compact(mesh, ~debris[labels])
-    if np.count_nonzero(~debris) > 1:
-        sizes = ", ".join(f"{area:.3f}" for area in np.sort(areas[~debris])[::-1])
-        findings.append(
-            Finding(
-                "separate parts",
-                int((~debris).sum()),
-                "noted",
-                f"areas {sizes} m2; all are scanned",
-            )
-        )
-    return mesh
-
-
-def _wound_alike(mesh: SurfaceMesh, edges: EdgeTable, findings: list[Finding]) -> SurfaceMesh:
-    if not np.any(edges.face_counts == 1):
-        raise MeshRefusedError(
-            "the mesh is a closed solid; an open skin is accepted: export only the surface that "
-            "is to be scanned"
-        )
-    signs = winding_signs(len(mesh.faces), edges)
-    found, labels = components(len(mesh.faces), edges.pairs)
-    upward = np.bincount(
-        labels, weights=signs * mesh.face_areas * mesh.face_normals[:, 2], minlength=found
-    )
-    turned = signs * np.where(upward < 0, -1, 1)[labels] < 0
-    if not turned.any():
-        return mesh
-    inverted = np.bincount(labels, weights=turned, minlength=found) == np.bincount(
-        labels, minlength=found
-    )
-    if inverted.any():
-        count = int(inverted.sum())
-        findings.append(
-            Finding("inverted parts", count, "repaired", "looked to -z as a whole and were turned")
-        )
-    single = int(np.count_nonzero(turned & ~inverted[labels]))
-    if single:
-        findings.append(
-            Finding(
-                "flipped faces", single, "repaired", "were turned to agree with their neighbours"
-            )
-        )
-    faces = np.where(turned[:, None], mesh.faces[:, ::-1], mesh.faces)
-    return SurfaceMesh(mesh.vertices, faces, mesh.sha256)
-
-
-def _note(mesh: SurfaceMesh, edges: EdgeTable, findings: list[Finding]) -> None:
-    crowded = int(np.count_nonzero(edges.face_counts > 2))
-    if crowded:
-        findings.append(
-            Finding("non-manifold edges", crowded, "noted", "edges with more than two faces")
-        )
-    parts, _ = components(len(mesh.faces), edges.pairs)
-    loops = _loops(edges, len(mesh.vertices)) - parts
-    if loops > 0:
-        findings.append(
-            Finding("holes", loops, "noted", "rows stop at holes wider than half a row interval")
-        )
-    away = float(mesh.face_areas[mesh.face_normals[:, 2] < 0].sum()) / mesh.area
-    if away > _AWAY_RATIO:
-        detail = f"{away:.0%} of the area looks to -z, away from the scanner"
-        findings.append(Finding("surface facing away", 1, "noted", detail))
-
-
-def _loops(edges: EdgeTable, vertices: int) -> int:
-    boundary = edges.boundary
-    on_boundary = np.unique(boundary)
-    rank = np.zeros(vertices, dtype=np.int64)
-    rank[on_boundary] = np.arange(len(on_boundary))
-    return components(len(on_boundary), rank[boundary])[0]
+def _merged(findings: list[Finding] | tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Returns one finding of each name and action; the counts of several rounds are added."""
+    merged: dict[tuple[str, str], Finding] = {}
+    for finding in findings:
+        key = (finding.name, finding.action)
+        if key in merged:
+            finding = replace(merged[key], count=merged[key].count + finding.count)
+        merged[key] = finding
+    return tuple(merged.values())

@@ -1,45 +1,55 @@
 """Reads mesh files into metres."""
 
 import hashlib
-import io
-import logging
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import trimesh
-from numpy.typing import NDArray
 
 from skinplan.errors import (
     MeshEmptyError,
+    MeshExtraMissingError,
     MeshNotFiniteError,
     MeshNotFoundError,
     MeshRefusedError,
-    MeshUnitError,
     MeshUnreadableError,
 )
-from skinplan.mesh.model import SurfaceMesh
-from skinplan.transforms import Array
+from skinplan.mesh.formats.obj import read_obj
+from skinplan.mesh.formats.ply import read_ply
+from skinplan.mesh.formats.raw import MOST_FACES, RawMesh, TooManyFacesError
+from skinplan.mesh.formats.step import Tessellation, read_step
+from skinplan.mesh.formats.stl import read_stl
+from skinplan.mesh.merge import merge_vertices
+from skinplan.mesh.model import Finding, SurfaceMesh
+from skinplan.mesh.units import UNITS_M, require_part_size, require_unit
 
-UNITS_M = {"m": 1.0, "cm": 0.01, "mm": 0.001, "inch": 0.0254}
-FORMATS = (".stl", ".ply", ".obj")
-LEAST_EXTENT_M = 0.05
-LARGEST_EXTENT_M = 30.0
+__all__ = [
+    "FORMATS",
+    "UNITS_M",
+    "Tessellation",
+    "file_sha256",
+    "load_mesh",
+    "merge_vertices",
+    "read_mesh",
+]
+
+FORMATS = (".stl", ".ply", ".obj", ".step", ".stp")
+_READERS = {".stl": read_stl, ".ply": read_ply, ".obj": read_obj}
+_FORMAT_NAMES = "STL, PLY, OBJ and STEP"
 _LARGEST_FILE_BYTES = 2 * 1024**3
-_STL_HEADER_BYTES = 84
-_STL_FACE = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-# trimesh logs tracebacks of files that it can not read; load_mesh says the same in one sentence.
-logging.getLogger("trimesh").setLevel(logging.CRITICAL)
 
 
-def load_mesh(path: Path | str, unit: str = "m") -> SurfaceMesh:
+def load_mesh(
+    path: Path | str, unit: str = "m", tessellation: Tessellation | None = None
+) -> SurfaceMesh:
     """Reads a mesh file.
 
     Equal vertices are merged; nothing is repaired (see `skinplan.mesh.check.check_mesh`).
 
     Args:
-        path: STL (binary or ASCII), PLY or OBJ file.
-        unit: Unit of the file: ``m``, ``cm``, ``mm`` or ``inch``.
+        path: STL (binary or ASCII), PLY, OBJ or STEP file.
+        unit: Unit of the file: ``m``, ``cm``, ``mm`` or ``inch``. Not used for STEP, which says
+            its own.
+        tessellation: How fine the triangles of a STEP file are; None = 0.1 mm, 0.1 rad.
 
     Returns:
         The mesh in metres, with the hash of the file's bytes.
@@ -47,39 +57,48 @@ def load_mesh(path: Path | str, unit: str = "m") -> SurfaceMesh:
     Raises:
         MeshNotFoundError: No such file.
         MeshUnreadableError: No mesh of a known format.
+        MeshExtraMissingError: A STEP file, and the optional package for it is not installed.
         MeshEmptyError: No bytes, no vertices or no faces.
         MeshNotFiniteError: A vertex is NaN or infinite.
         MeshUnitError: The unit is unknown, or makes the part larger or smaller than any that is
             accepted.
-        MeshRefusedError: The file is larger than 2 GiB.
+        MeshRefusedError: The file is larger than 2 GiB or has more than 10 million faces.
+    """
+    return read_mesh(path, unit, tessellation)[0]
+
+
+def read_mesh(
+    path: Path | str, unit: str = "m", tessellation: Tessellation | None = None
+) -> tuple[SurfaceMesh, tuple[Finding, ...]]:
+    """Reads a mesh file and says what was noticed on the way.
+
+    Args:
+        path: As in `load_mesh`.
+        unit: As in `load_mesh`.
+        tessellation: As in `load_mesh`.
+
+    Returns:
+        What `load_mesh` returns, and the findings of reading: polygons that were split, lines that
+        were left out, the tolerance of a tessellation.
+
+    Raises:
+        MeshError: As in `load_mesh`.
     """
     file = Path(path)
-    if unit not in UNITS_M:
-        raise MeshUnitError(
-            f"the unit {unit!r} was given for {file.name}; accepted are {', '.join(UNITS_M)}"
-        )
+    require_unit(file.name, unit)
     data = _read_bytes(file)
-    vertices, faces = _parse(file, data)
-    if len(vertices) == 0 or len(faces) == 0:
-        raise MeshEmptyError(
-            f"{file.name} has {len(vertices)} vertices and {len(faces)} faces; a mesh with at "
-            "least one face is accepted"
-        )
-    broken = int(np.count_nonzero(~np.isfinite(vertices).all(axis=1)))
-    if broken:
-        raise MeshNotFiniteError(
-            f"{file.name} has {broken} of {len(vertices)} vertices that are NaN or infinite; "
-            "finite numbers are accepted"
-        )
-    if faces.min() < 0 or faces.max() >= len(vertices):
-        raise MeshUnreadableError(
-            f"{file.name} has a face that names vertex {faces.max()}, but {len(vertices)} "
-            "vertices; "
-            "a file whose faces name its own vertices is accepted"
-        )
-    vertices, faces = merge_vertices(vertices, faces)
-    _check_size(file.name, np.ptp(vertices[np.unique(faces)], axis=0).max(), unit)
-    return SurfaceMesh(vertices * UNITS_M[unit], faces, hashlib.sha256(data).hexdigest())
+    raw = _parse(file, data, tessellation or Tessellation())
+    _require_faces(file.name, raw)
+    raw = _finite(file.name, raw)
+    vertices, faces = merge_vertices(raw.vertices, raw.faces)
+    factor = UNITS_M[unit] if raw.unit_m is None else raw.unit_m
+    used = np.zeros(len(vertices), dtype=bool)
+    used[faces] = True
+    with np.errstate(over="ignore"):  # an infinite extent is refused with the others
+        extent = float(np.ptp(vertices[used], axis=0).max())
+    require_part_size(file.name, extent, None if raw.unit_m else unit, factor)
+    mesh = SurfaceMesh(vertices * factor, faces, hashlib.sha256(data).hexdigest())
+    return mesh, raw.findings
 
 
 def file_sha256(path: Path | str) -> str:
@@ -99,40 +118,13 @@ def file_sha256(path: Path | str) -> str:
         ) from error
 
 
-def merge_vertices(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
-    """Makes one vertex of those with exactly the same coordinates.
-
-    Args:
-        vertices: shape (v, 3).
-        faces: shape (f, 3).
-
-    Returns:
-        Vertices in the order of their first use in the file, and the faces that name them.
-    """
-    plain = np.ascontiguousarray(vertices, dtype=np.float64) + 0.0  # -0.0 is 0.0
-    words = plain.view(np.uint64).reshape(-1, 3)
-    # Sorting one number per vertex is far cheaper than sorting rows; the check below makes a
-    # collision harmless.
-    keys = words[:, 0] * np.uint64(0x9E3779B97F4A7C15) ^ words[:, 1] * np.uint64(0xC2B2AE3D27D4EB4F)
-    keys = (keys ^ (keys >> np.uint64(29))) * np.uint64(0xBF58476D1CE4E5B9) + words[
-        :, 2
-    ] * np.uint64(0x165667B19E3779F9)
-    _, first, inverse = np.unique(keys, return_index=True, return_inverse=True)
-    if not np.array_equal(plain[first][inverse], plain):
-        _, first, inverse = np.unique(plain, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first, kind="stable")
-    rank = np.empty(len(order), dtype=np.int64)
-    rank[order] = np.arange(len(order))
-    return plain[first[order]], rank[inverse.reshape(-1)][faces]
-
-
 def _existing(file: Path) -> Path:
     if not file.exists():
         raise MeshNotFoundError(
-            f"no mesh file at {file}; the path of an existing {_formats()} file is accepted"
+            f"no mesh file at {file}; the path of an existing {_FORMAT_NAMES} file is accepted"
         )
     if not file.is_file():
-        raise MeshUnreadableError(f"{file} is no file; a {_formats()} file is accepted")
+        raise MeshUnreadableError(f"{file} is no file; {_FORMAT_NAMES} files are accepted")
     return file
 
 
@@ -140,15 +132,17 @@ def _read_bytes(file: Path) -> bytes:
     _existing(file)
     if file.suffix.lower() not in FORMATS:
         raise MeshUnreadableError(
-            f"{file.name} has the extension {file.suffix or '(none)'}; {_formats()} files are "
+            f"{file.name} has the extension {file.suffix or '(none)'}; {_FORMAT_NAMES} files are "
             "accepted"
         )
     try:
         size = file.stat().st_size
         if size > _LARGEST_FILE_BYTES:
-            raise MeshRefusedError(
+            raise _refused(
+                "huge file",
+                size,
                 f"{file.name} has {size / 1024**3:.1f} GiB; up to "
-                f"{_LARGEST_FILE_BYTES / 1024**3:.0f} GiB are accepted"
+                f"{_LARGEST_FILE_BYTES / 1024**3:.0f} GiB are accepted",
             )
         data = file.read_bytes()
     except OSError as error:
@@ -157,79 +151,68 @@ def _read_bytes(file: Path) -> bytes:
         ) from error
     if not data:
         raise MeshEmptyError(
-            f"{file.name} has no bytes; a {_formats()} file with at least one face is accepted"
+            f"{file.name} has no bytes; {_FORMAT_NAMES} files with at least one face are accepted"
         )
     return data
 
 
-def _parse(file: Path, data: bytes) -> tuple[Array, NDArray[np.int64]]:
-    """Returns vertices, shape (v, 3), and faces, shape (f, 3), in the unit of the file."""
-    kind = file.suffix.lower()[1:]
-    if kind == "stl" and _is_binary_stl(data):
-        return _parse_binary_stl(data)
-    options: dict[str, Any] = {"skip_materials": True} if kind == "obj" else {}
+def _parse(file: Path, data: bytes, tessellation: Tessellation) -> RawMesh:
+    kind = file.suffix.lower()
     try:
-        # trimesh raises whatever its parsers stumble over: every one of them means the same to the
-        # caller.
-        loaded: Any = trimesh.load(
-            io.BytesIO(data),
-            file_type=kind,
-            process=False,
-            force="mesh",
-            **options,
+        return _READERS[kind](data) if kind in _READERS else read_step(data, tessellation)
+    except MeshExtraMissingError as error:
+        raise MeshExtraMissingError(f"{file.name} can't be read: {error}") from error
+    except TooManyFacesError as error:
+        message = (
+            f"{file.name} has {error.faces} faces; up to {MOST_FACES} are accepted: decimate it, "
+            "5 mm triangles are enough"
         )
-        vertices = np.asarray(loaded.vertices, dtype=np.float64).reshape(-1, 3)
-        faces = np.asarray(getattr(loaded, "faces", ()), dtype=np.int64).reshape(-1, 3)
-    except Exception as error:
-        reason = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise _refused("huge mesh", error.faces, message) from error
+    except (ValueError, OverflowError) as error:  # FormatError is a ValueError
+        reason = " ".join(str(error).split())[:200]
         raise MeshUnreadableError(
-            f"{file.name} can't be read as {kind.upper()} ({reason}); a {_formats()} file is "
-            "accepted"
+            f"{file.name} can't be read as {kind[1:].upper()} ({reason}); {_FORMAT_NAMES} files "
+            "are accepted"
         ) from error
-    if kind == "stl" and len(faces) == 0 and not data.lstrip().lower().startswith(b"solid"):
-        raise MeshUnreadableError(f"{file.name} is no STL file; a {_formats()} file is accepted")
-    return vertices, faces
 
 
-def _is_binary_stl(data: bytes) -> bool:
-    if len(data) < _STL_HEADER_BYTES:
-        return False
-    count = int.from_bytes(data[80:84], "little")
-    return len(data) == _STL_HEADER_BYTES + count * _STL_FACE.itemsize
+def _require_faces(name: str, raw: RawMesh) -> None:
+    vertices, faces = raw.vertices, raw.faces
+    if len(vertices) == 0 or len(faces) == 0:
+        raise MeshEmptyError(
+            f"{name} has {len(vertices)} vertices and {len(faces)} faces; a mesh with at "
+            "least one face is accepted",
+            raw.findings,
+        )
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        outside = (faces < 0) | (faces >= len(vertices))
+        raise MeshUnreadableError(
+            f"{name} has {np.count_nonzero(outside.any(axis=1))} faces that name vertices it does "
+            f"not have, such as {faces[outside][0]} of {len(vertices)}; a file whose faces name "
+            "its own vertices is accepted",
+            raw.findings,
+        )
 
 
-def _parse_binary_stl(data: bytes) -> tuple[Array, NDArray[np.int64]]:
-    records = np.frombuffer(data, dtype=_STL_FACE, offset=_STL_HEADER_BYTES)
-    with np.errstate(invalid="ignore"):  # NaN is reported by name later
-        corners = records["corners"].reshape(-1, 3).astype(np.float64)
-    return corners, np.arange(len(corners), dtype=np.int64).reshape(-1, 3)
+def _finite(name: str, raw: RawMesh) -> RawMesh:
+    """Returns the mesh without vertices that are not finite, when no face uses them."""
+    if np.isfinite(raw.vertices).all():
+        return raw
+    broken = np.logical_not(np.isfinite(raw.vertices).all(axis=1))
+    touched = int(np.count_nonzero(broken[raw.faces].any(axis=1)))
+    count = int(np.count_nonzero(broken))
+    if touched:
+        detail = f"{touched} faces use them, the first is face {broken[raw.faces].any(1).argmax()}"
+        finding = Finding("vertices not finite", count, "refused", detail)
+        raise MeshNotFiniteError(
+            f"{name} has {count} of {len(broken)} vertices that are NaN or infinite, and {detail}; "
+            "finite numbers are accepted",
+            (*raw.findings, finding),
+        )
+    finding = Finding("vertices not finite", count, "repaired", "were removed; no face uses them")
+    rank = np.cumsum(~broken) - 1
+    return RawMesh(raw.vertices[~broken], rank[raw.faces], (*raw.findings, finding), raw.unit_m)
 
 
-def _check_size(name: str, extent: float, unit: str) -> None:
-    """Raises MeshUnitError when the largest extent, in the file's unit, is no size of a part."""
-    size = extent * UNITS_M[unit]
-    if LEAST_EXTENT_M <= size <= LARGEST_EXTENT_M:
-        return
-    likely = [
-        other
-        for other, factor in UNITS_M.items()
-        if LEAST_EXTENT_M <= extent * factor <= LARGEST_EXTENT_M
-    ]
-    # Of several plausible units the one nearest to a panel of 2 m is named first.
-    likely.sort(key=lambda other: abs(np.log(max(extent * UNITS_M[other], 1e-30) / 2.0)))
-    hint = f"; did you mean unit {' or '.join(likely)}?" if likely else ""
-    raise MeshUnitError(
-        f"{name} in {unit} would be {_length(size)} long; {LEAST_EXTENT_M} m to "
-        f"{LARGEST_EXTENT_M:g} m are accepted{hint}"
-    )
-
-
-def _length(size_m: float) -> str:
-    for limit, factor, name in ((1e-3, 1e6, "um"), (1.0, 1e3, "mm"), (1e3, 1.0, "m")):
-        if size_m < limit:
-            return f"{size_m * factor:.3g} {name}"
-    return f"{size_m / 1e3:.3g} km"
-
-
-def _formats() -> str:
-    return ", ".join(suffix[1:].upper() for suffix in FORMATS)
+def _refused(name: str, count: int, message: str) -> MeshRefusedError:
+    return MeshRefusedError(message, (Finding(name, count, "refused", message),))

@@ -104,10 +104,12 @@ class Finding:
         name: Short fixed name, e.g. ``duplicate faces``.
         count: How many.
         action: ``repaired``, ``refused`` or ``noted``.
-        detail: Where and what, one sentence.
+        detail: What it is and what was done, one sentence.
+        where: Up to three places, the worst first: points in the mesh's frame [m].
     """
 
     name: str
     count: int
     action: str
     detail: str
+    where: tuple[tuple[float, float, float], ...] = ()

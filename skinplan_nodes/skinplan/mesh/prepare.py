@@ -4,7 +4,7 @@ from dataclasses import dataclass
 
 from skinplan.errors import MeshHashError
 from skinplan.mesh.check import check_mesh
-from skinplan.mesh.load import load_mesh
+from skinplan.mesh.load import read_mesh
 from skinplan.mesh.model import Finding, Segmentation, SurfaceMesh
 from skinplan.mesh.segment import segment_mesh
 from skinplan.part.model import Part
@@ -16,7 +16,7 @@ class PreparedMesh:
 
     Attributes:
         mesh: Repaired mesh [m].
-        findings: What the mesh doctor found.
+        findings: What was noticed when reading the file, and what the mesh doctor found.
         segmentation: Complex regions.
     """
 
@@ -31,11 +31,11 @@ def prepare_mesh(part: Part) -> PreparedMesh:
     Raises:
         MeshError: The mesh can't be used, or is another one than the part file means.
     """
-    mesh = load_mesh(part.mesh_path, part.unit)
+    mesh, noticed = read_mesh(part.mesh_path, part.unit)
     if part.mesh_sha256 and mesh.sha256 != part.mesh_sha256:
         raise MeshHashError(
             f"mesh {part.mesh_path}: SHA-256 {part.mesh_sha256} was asked for, found "
             f"{mesh.sha256}; the mesh that the part was described with is accepted"
         )
     checked, findings = check_mesh(mesh)
-    return PreparedMesh(checked, findings, segment_mesh(checked))
+    return PreparedMesh(checked, noticed + findings, segment_mesh(checked))

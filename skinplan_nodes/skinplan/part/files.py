@@ -37,6 +37,7 @@ from typing import Any
 import yaml
 
 from skinplan.errors import MeshHashError, PartInvalidError, PartNotFoundError
+from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import UNITS_M, file_sha256, load_mesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.fields import Fields, pose_fields
@@ -84,7 +85,7 @@ def load_part(path: Path | str) -> Part:
     mesh_path, unit, digest = _read_mesh(fields, file.parent)
     bounds = None
     if not (fields.has("fixture") and fields.has("placement")):
-        bounds = load_mesh(mesh_path, unit).bounds
+        bounds = check_mesh(load_mesh(mesh_path, unit))[0].bounds
     return Part(
         id=part_id,
         mesh_path=mesh_path,

@@ -7,6 +7,7 @@ from pathlib import Path
 from urllib.parse import unquote, urlparse
 
 from skinplan.errors import PartInvalidError, PartNotFoundError
+from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import FORMATS, load_mesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.files import load_part, save_part
@@ -84,7 +85,7 @@ def _with_unit(part: Part, unit: str | None) -> Part:
 
 
 def _bare(path: Path, unit: str, folder: Path | None) -> Part:
-    mesh = load_mesh(path, unit)
+    mesh, _ = check_mesh(load_mesh(path, unit))
     name = re.sub(r"[^A-Za-z0-9_.-]", "_", path.stem)[:64] or "part"
     part = Part(
         id=name,
