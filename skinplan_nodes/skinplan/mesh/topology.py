@@ -22,12 +22,15 @@ class EdgeTable:
         face_counts: Number of faces at each edge, shape (e,).
         pairs: Faces that share an edge with exactly two faces, shape (p, 2).
         same_winding: Whether the two faces of a pair are wound alike, shape (p,).
+        of_faces: Numbers of the edges of each face, shape (f, 3): from corner 0 to corner 1, from 1
+            to 2, from 2 to 0.
     """
 
     vertices: Indices
     face_counts: Indices
     pairs: Indices
     same_winding: Mask
+    of_faces: Indices
 
     @property
     def boundary(self) -> Indices:
@@ -37,23 +40,41 @@ class EdgeTable:
 
 def edge_table(faces: Indices) -> EdgeTable:
     """Finds the edges of faces, shape (f, 3)."""
-    ends = faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2)
-    owners = np.repeat(np.arange(len(faces)), 3)
-    low, high = ends.min(axis=1), ends.max(axis=1)
-    forward = ends[:, 0] == low
-    keys = low * (faces.max(initial=0) + 1) + high
-    order = np.argsort(keys, kind="stable")
-    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
-    counts = np.diff(starts, append=len(keys))
+    begin, end = faces.ravel(), faces[:, [1, 2, 0]].ravel()
+    low, high = np.minimum(begin, end), np.maximum(begin, end)
+    order, starts = _grouped(low, high, int(faces.max(initial=-1)) + 1)
+    counts = np.diff(starts, append=len(order))
+    of_faces = np.empty(len(order), dtype=np.int64)
+    of_faces[order] = np.repeat(np.arange(len(starts)), counts)
     two = starts[counts == 2]
-    first, second = order[two], order[two + 1]
+    # Within an edge the sides stand in no particular order.
+    first = np.minimum(order[two], order[two + 1])
+    second = np.maximum(order[two], order[two + 1])
     return EdgeTable(
         vertices=np.stack([low[order[starts]], high[order[starts]]], axis=1),
         face_counts=counts,
-        pairs=np.stack([owners[first], owners[second]], axis=1),
+        pairs=np.stack([first // 3, second // 3], axis=1),
         # Neighbours wound alike run along their common edge in opposite directions.
-        same_winding=forward[first] != forward[second],
+        same_winding=(begin[first] == low[first]) != (begin[second] == low[second]),
+        of_faces=of_faces.reshape(-1, 3),
     )
+
+
+def _grouped(low: Indices, high: Indices, count: int) -> tuple[Indices, Indices]:
+    """Sorts pairs of numbers below a count; returns their order and where each new pair starts."""
+    sides = sparse.coo_array(
+        (np.arange(len(low)), (low.astype(np.int32), high.astype(np.int32))), shape=(count, count)
+    )
+    # Said to have no duplicates, it keeps them when it is put into rows: sorting in linear time.
+    sides.has_canonical_format = True
+    rows = sides.tocsr()
+    rows.has_sorted_indices = False
+    rows.sort_indices()
+    new = np.ones(len(low), dtype=bool)
+    new[1:] = rows.indices[1:] != rows.indices[:-1]
+    begins = rows.indptr[:-1]
+    new[begins[begins < len(low)]] = True
+    return rows.data, np.flatnonzero(new)
 
 
 def components(count: int, pairs: Indices) -> tuple[int, Indices]:
