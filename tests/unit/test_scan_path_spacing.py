@@ -22,6 +22,20 @@ def test_over_the_angle(k):
     np.testing.assert_allclose(equivalent_spacing(leaning(degrees), UP, 0.08, k), found)
 
 
+@pytest.mark.parametrize("k", [1, 2, 3, 6])
+def test_steepness_over_the_angle(k):
+    """Fig. 9 between its points: the slope is -k d_interval cos^(k-1) sin, largest at 1/sqrt(k)."""
+    angle = np.radians(np.linspace(0.5, 89.5, 179))
+    step = 1e-6
+    ahead, behind = (np.degrees(angle + side * step) for side in (1, -1))
+    rise = equivalent_spacing(UP, leaning(ahead), 0.08, k)
+    rise = rise - equivalent_spacing(UP, leaning(behind), 0.08, k)
+    wanted = -k * 0.08 * np.cos(angle) ** (k - 1) * np.sin(angle)
+    np.testing.assert_allclose(rise / (2 * step), wanted, atol=1e-8)
+    steepest = np.degrees(angle[np.argmin(wanted)])
+    assert steepest == pytest.approx(np.degrees(np.arctan(1 / np.sqrt(k - 1 + 1e-12))), abs=0.6)
+
+
 def test_without_sensitivity_only_the_side_counts():
     found = equivalent_spacing(UP, leaning(np.array([0.0, 89.0, 91.0])), 0.08, 0.0)
     np.testing.assert_allclose(found, [0.08, 0.08, 0.0])

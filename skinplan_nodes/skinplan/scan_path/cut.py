@@ -84,22 +84,24 @@ def _crossings(
         For each crossing: face, plane, and the lower and the higher vertices of the two crossed
         edges, shape (k, 2).
     """
-    chosen = np.flatnonzero(use)
-    levels = heights[faces[chosen]]
-    # A vertex on a plane counts as above it: every crossed face then has exactly two crossed edges.
-    first = np.searchsorted(offsets, levels.min(axis=1), side="right")
-    counts = np.searchsorted(offsets, levels.max(axis=1), side="right") - first
-    crossed = np.flatnonzero(counts)
-    face = np.repeat(chosen[crossed], counts[crossed])
-    skipped = np.cumsum(counts[crossed]) - counts[crossed]
-    plane = np.arange(len(face)) - np.repeat(skipped - first[crossed], counts[crossed])
+    # The number of planes at or below a vertex; a face is crossed by those between its corners. A
+    # vertex on a plane counts as above it: every crossed face then has exactly two crossed edges.
+    below = np.searchsorted(offsets, heights, side="right").astype(np.int32)
+    first, second, third = (below[corner] for corner in faces.T)
+    lowest = np.minimum(np.minimum(first, second), third)
+    counts = np.maximum(np.maximum(first, second), third) - lowest
+    crossed = np.flatnonzero((counts > 0) & use)
+    counts = counts[crossed].astype(np.int64)
+    face = np.repeat(crossed, counts)
+    skipped = np.cumsum(counts) - counts
+    plane = np.arange(len(face)) - np.repeat(skipped - lowest[crossed], counts)
     corners = faces[face]
-    above = heights[corners] >= offsets[plane][:, None]
-    following = np.roll(corners, -1, axis=1)
-    crossing = above != np.roll(above, -1, axis=1)
+    above = below[corners] > plane[:, None]
+    following = corners[:, [1, 2, 0]]
+    crossing = above != above[:, [1, 2, 0]]
     low = np.minimum(corners, following)[crossing].reshape(-1, 2)
     high = np.maximum(corners, following)[crossing].reshape(-1, 2)
-    return face, plane.astype(np.int64), low, high
+    return face, plane, low, high
 
 
 def _chained(ends: Indices, face: Indices, along: Array) -> tuple[Indices, Indices]:

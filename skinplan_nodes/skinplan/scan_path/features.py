@@ -7,15 +7,15 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from skinplan.mesh.model import SurfaceMesh
+from skinplan.scan_path.frame import RowFrame
+from skinplan.scan_path.lattice import lattice_points
 from skinplan.scan_path.spacing import equivalent_spacing
-from skinplan.scanner.samples import barycentric, sample_surface
 from skinplan.transforms import Array
 
-# Candidates stand this share of the interval apart.
+# Candidates stand on lines this share of the interval apart.
 _CANDIDATE_RATIO = 0.05
 # Opposite walls have d_e = 0: two targets are never nearer than this share of the interval.
 FLOOR_RATIO = 0.2
-_SEED = 2022
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,6 +37,7 @@ def sample_features(
     mesh: SurfaceMesh,
     smoothed: SurfaceMesh,
     faces: NDArray[np.bool_],
+    frame: RowFrame,
     interval_m: float,
     sensitivity: float,
 ) -> FeaturePoints:
@@ -49,15 +50,16 @@ def sample_features(
         mesh: The part; targets lie on it.
         smoothed: The same faces without small features; its normals count.
         faces: The faces to sample, shape (f,).
+        frame: A frame of the part's own; candidates stand on lines along its axes.
         interval_m: d_interval [m].
         sensitivity: Exponent k.
 
     Returns:
         The targets.
     """
-    candidates = sample_surface(mesh, _CANDIDATE_RATIO * interval_m, np.flatnonzero(faces))
-    shares = barycentric(np.arange(len(candidates.points)))
-    normals = np.einsum("sc,sci->si", shares, smoothed.vertex_normals[mesh.faces[candidates.faces]])
+    candidates = lattice_points(mesh, faces, frame, _CANDIDATE_RATIO * interval_m)
+    corners = smoothed.vertex_normals[mesh.faces[candidates.faces]]
+    normals = np.einsum("sc,sci->si", candidates.shares, corners)
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     kept = _thinned(candidates.points, normals, interval_m, sensitivity)
     return FeaturePoints(candidates.points[kept], normals[kept], candidates.faces[kept])
@@ -66,13 +68,13 @@ def sample_features(
 def _thinned(
     points: Array, normals: Array, interval_m: float, sensitivity: float
 ) -> NDArray[np.int64]:
-    """Returns the candidates that are taken, shape (n,)."""
+    """Takes candidates, shape (n, 3), in their order; returns those that are taken, shape (m,)."""
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
     tree = cKDTree(points)
     open_ = np.ones(len(points), dtype=bool)
     kept = []
-    for candidate in np.random.default_rng(_SEED).permutation(len(points)):
+    for candidate in range(len(points)):
         if not open_[candidate]:
             continue
         kept.append(candidate)

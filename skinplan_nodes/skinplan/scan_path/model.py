@@ -12,6 +12,19 @@ FEATURE = 1
 
 
 @dataclass(frozen=True, eq=False)
+class LeftOut:
+    """A pose that was wanted and could not be had.
+
+    Attributes:
+        target: The surface point, shape (3,) [m].
+        reason: Why.
+    """
+
+    target: Array
+    reason: str
+
+
+@dataclass(frozen=True, eq=False)
 class ScanPath:
     """Scan path points in the workpiece frame, row points first (M2.1, M2.2).
 
@@ -25,6 +38,8 @@ class ScanPath:
             goes on behind it has two numbers.
         strategy: Name of the strategy that made it.
         regions: Number of complex regions of the part.
+        lower_bound: No fewer points of the candidates see as much; 0 = no bound known.
+        left_out: Poses that were wanted and could not be had.
     """
 
     positions: Array
@@ -34,6 +49,8 @@ class ScanPath:
     groups: NDArray[np.int64]
     strategy: str
     regions: int
+    lower_bound: int = 0
+    left_out: tuple[LeftOut, ...] = ()
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -9,8 +9,15 @@ from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.scan_path.clearance import Clearance, repair_by_tilt, tilt_toward
 from skinplan.scan_path.features import sample_features
-from skinplan.scan_path.frame import RowFrame, base_normal, candidate_frames, given_frame
-from skinplan.scan_path.model import FEATURE, ROW, ScanPath
+from skinplan.scan_path.frame import (
+    RowFrame,
+    base_normal,
+    candidate_frames,
+    given_frame,
+    part_frame,
+    vertex_areas,
+)
+from skinplan.scan_path.model import FEATURE, ROW, LeftOut, ScanPath
 from skinplan.scan_path.rows import RowPoints, sample_rows, scannable_faces
 from skinplan.transforms import Array
 
@@ -45,7 +52,12 @@ def published_path(
     flat = regions[rows.faces] == 0
     scannable = scannable_faces(smoothed, base)
     features = sample_features(
-        mesh, smoothed, (regions > 0) & scannable, settings.row_interval_m, settings.sensitivity
+        mesh,
+        smoothed,
+        (regions > 0) & scannable,
+        part_frame(mesh, base),
+        settings.row_interval_m,
+        settings.sensitivity,
     )
     order = np.argsort(regions[features.faces], kind="stable")
     feature_regions = regions[features.faces][order]
@@ -129,7 +141,7 @@ def least_rows(
     if settings.row_direction is not None:
         frames: tuple[RowFrame, ...] = (given_frame(base, settings.row_direction),)
     else:
-        frames = candidate_frames(mesh.vertices, base)
+        frames = candidate_frames(mesh.vertices, base, vertex_areas(mesh))
     interval = settings.row_interval_m
     complex_faces = segmentation.face_region > 0
     found = [
@@ -160,7 +172,7 @@ def offset_and_repair(
         settings: Stand-off, clearance, largest tilt.
 
     Returns:
-        The path with positions, without the poses that can't be repaired.
+        The path with positions, without the poses that can't be repaired: these are listed.
 
     Raises:
         MeshRefusedError: No pose is left.
@@ -175,6 +187,10 @@ def offset_and_repair(
         settings.tilt_max_rad,
     )
     keep = repair.usable
+    reason = (
+        f"the scanner would stand nearer than {settings.clearance_m:g} m to the part, or the part "
+        f"hides the view, also when tilted by {np.degrees(settings.tilt_max_rad):.0f} degrees"
+    )
     if repair.tilted or not keep.all():
         _log.info(
             "scan path: %d poses too near to the part were tilted, %d could not be repaired and "
@@ -195,6 +211,7 @@ def offset_and_repair(
         groups=path.groups[keep],
         strategy=path.strategy,
         regions=path.regions,
+        left_out=tuple(LeftOut(path.targets[pose], reason) for pose in np.flatnonzero(~keep)),
     )
 
 

@@ -25,6 +25,9 @@ LEAST_PIECE_RATIO = 0.25
 # d_e is at least this share of the interval.
 FLOOR_RATIO = 0.2
 _STEPS_PER_INTERVAL = 8
+# Planes and places keep off the edges of a regular mesh by this: which face a point on an edge
+# belongs to would be a matter of rounding. Far above rounding, far below what can be measured.
+_NUDGE_M = 1e-7
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +68,9 @@ def plane_offsets(
     Returns:
         Rising offsets, shape (m,) [m].
     """
-    places = mesh.vertices[mesh.faces[use].ravel()] @ across
+    used = np.zeros(len(mesh.vertices), dtype=bool)
+    used[mesh.faces[use]] = True
+    places = mesh.vertices[used] @ across
     low, high = float(places.min()), float(places.max())
     inset = INSET_RATIO * interval_m
     if high - low <= interval_m:
@@ -96,11 +101,11 @@ def sample_rows(
         The targets, those on complex faces included.
     """
     use = scannable_faces(smoothed, frame.base)
-    offsets = plane_offsets(mesh, use, frame.across, interval_m)
+    offsets = plane_offsets(mesh, use, frame.across, interval_m) + _NUDGE_M
     lines = cut_mesh(mesh, smoothed.vertex_normals, use, frame, offsets)
     found = []
     length = 0.0
-    for row in _joined(lines, GAP_RATIO * interval_m):
+    for row in joined_curves(lines, GAP_RATIO * interval_m):
         arc = _arc_length(lines.points[row])
         if arc[-1] < LEAST_PIECE_RATIO * interval_m:
             continue
@@ -114,8 +119,13 @@ def sample_rows(
     return RowPoints(targets, normals, faces, rows, length)
 
 
-def _joined(lines: Polylines, gap_m: float) -> list[Indices]:
-    """Lists the points of each row: curves of one plane, joined over small gaps."""
+def joined_curves(lines: Polylines, gap_m: float) -> list[Indices]:
+    """Lists the points of each row: curves of one plane, joined over small gaps.
+
+    Args:
+        lines: The curves.
+        gap_m: A row goes on behind a shorter gap [m].
+    """
     rows: list[Indices] = []
     for begin, end in zip(lines.starts[:-1], lines.starts[1:], strict=True):
         curve = np.arange(begin, end)
@@ -188,6 +198,7 @@ def _density(
 
 def _at(lines: Polylines, row: Indices, arc: Array, places: Array) -> tuple[Array, Array, Indices]:
     """Returns points, normals and faces at arc lengths; inside a gap those of the nearer side."""
+    places = places + _NUDGE_M
     before = np.clip(np.searchsorted(arc, places, side="right") - 1, 0, len(row) - 2)
     step = np.maximum(arc[before + 1] - arc[before], 1e-12)
     share = np.clip((places - arc[before]) / step, 0.0, 1.0)
