@@ -29,7 +29,13 @@ def edited(part, edit):
 
 
 def test_what_is_written_is_read_again(part, tmp_path):
-    scan = dataclasses.replace(part.scan, standoff_m=0.31, row_direction=(0.6, 0.8, 0.0))
+    scan = dataclasses.replace(
+        part.scan,
+        standoff_m=0.31,
+        row_direction=(0.6, 0.8, 0.0),
+        field_of_view="cone",
+        least_views=5,
+    )
     changed = dataclasses.replace(part, id="other-1", scan=scan)
     again = load_part(save_part(changed, tmp_path / "other.yaml"))
     assert (again.id, again.scan, again.mesh_path, again.mesh_sha256) == (
@@ -74,6 +80,10 @@ def test_fixture_placement_and_scan_may_be_left_out(part):
         (lambda v: v["scan"].update(row_direction=[0, 0, 0]), ["scan.row_direction"]),
         (lambda v: v["scan"].update(range_min_m=0.5), ["scan.range_min_m"]),
         (lambda v: v["scan"].update(clearance_m=0.3), ["scan.clearance_m", "standoff_m"]),
+        (lambda v: v["scan"].update(field_of_view="box"), ["scan.field_of_view", "'box'", "cone"]),
+        (lambda v: v["scan"].update(field_of_view=2), ["scan.field_of_view", "cylinder or cone"]),
+        (lambda v: v["scan"].update(least_views=0), ["scan.least_views", "0", "from 1 to 1000"]),
+        (lambda v: v["scan"].update(least_views=2.5), ["scan.least_views", "2.5", "whole number"]),
         (lambda v: v.update(scan=[1, 2]), ["scan", "[1, 2]"]),
         (lambda v: v.update(id="a b"), ["id", "'a b'"]),
         (lambda v: v["mesh"].update(unit="yard"), ["mesh.unit", "yard", "inch"]),

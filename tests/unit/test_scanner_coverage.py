@@ -1,5 +1,3 @@
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -7,7 +5,7 @@ from meshes import bump, grid, half_cylinder, joined, moved, random_transform
 from skinplan.errors import InputError, ScanPathInvalidError
 from skinplan.mesh.model import Segmentation
 from skinplan.scan_path.model import FEATURE, ROW, ScanPath
-from skinplan.scanner.coverage import LIFT_M, certify, seen_ratio, visible, visible_pairs
+from skinplan.scanner.coverage import certify, seen_ratio, visible
 from skinplan.scanner.model import ScannerModel
 from skinplan.scanner.rays import RayCaster
 from skinplan.scanner.samples import sample_surface
@@ -53,37 +51,6 @@ def test_spacing_that_can_not_be_used(spacing):
         sample_surface(grid(1.0, 1.0, 0.1), spacing)
 
 
-def test_a_plane_is_seen_as_a_disc():
-    plane = grid(1.0, 1.0, 0.02)
-    assert seen_area(plane, [0, 0, 0.3], DOWN[0]) == pytest.approx(np.pi * 0.2**2, rel=0.01)
-    for height in (0.199, 0.401, -0.3):
-        assert seen_area(plane, [0, 0, height], DOWN[0]) == 0.0
-
-
-def test_a_leaning_view_of_a_plane_is_an_ellipse_cut_by_the_range():
-    plane = grid(2.0, 2.0, 0.02)
-    lean = np.radians(20.0)
-    direction = np.array([np.sin(lean), 0.0, -np.cos(lean)])
-    whole = np.pi * 0.2**2 / np.cos(lean)
-    assert seen_area(plane, -0.3 * direction, direction) == pytest.approx(whole, rel=0.01)
-    # At 45 degrees the depth runs from 0.1 to 0.5 m over the ellipse: only |y| <= 0.1 is in range.
-    direction = np.array([1.0, 0.0, -1.0]) / np.sqrt(2)
-    strip = 2 * (0.1 * np.sqrt(0.03) + 0.04 * np.arcsin(0.5)) * np.sqrt(2)
-    assert seen_area(plane, -0.3 * direction, direction) == pytest.approx(strip, rel=0.01)
-
-
-@pytest.mark.parametrize("limit", [30.0, 50.0, 60.0])
-def test_a_cylinder_is_seen_up_to_the_incidence_limit(limit):
-    radius = 0.12
-    mesh = half_cylinder(radius, 1.0, 0.004, half_angle=np.radians(80))
-    scanner = dataclasses.replace(SCANNER, incidence_max_rad=np.radians(limit))
-    angles = np.linspace(-np.radians(limit), np.radians(limit), 2001)
-    chords = 2 * np.sqrt(0.2**2 - (radius * np.sin(angles)) ** 2)
-    wanted = np.trapezoid(chords, radius * angles)
-    found = seen_area(mesh, [0, 0, radius + 0.25], DOWN[0], scanner, spacing=0.002)
-    assert found == pytest.approx(wanted, rel=0.02)
-
-
 def test_a_roof_hides_what_is_below_it():
     roof = moved(grid(0.1, 0.1, 0.01), transform((0.0, 0.0, 0.05)))
     mesh = joined(grid(1.0, 1.0, 0.02), roof)
@@ -98,43 +65,6 @@ def test_a_roof_hides_what_is_below_it():
     # Nothing behind the scanner hides anything.
     behind = joined(grid(1.0, 1.0, 0.02), moved(roof, transform((0.0, 0.0, 0.3))))
     assert seen_area(behind, [0, 0, 0.3], DOWN[0]) == pytest.approx(np.pi * 0.04, rel=0.01)
-
-
-def test_agrees_with_brute_force():
-    mesh = grid(0.8, 0.6, 0.04, lambda x, y: bump(x, y, height=0.1, radius=0.15, wall=0.06))
-    samples = sample_surface(mesh, 0.02)
-    rng = np.random.default_rng(6)
-    directions = rng.normal(0, 0.4, (12, 3)) + DOWN
-    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
-    positions = samples.points[rng.integers(0, len(samples.points), 12)] - 0.3 * directions
-    found = np.zeros((12, len(samples.points)), dtype=bool)
-    for views, seen in visible_pairs(samples, RayCaster(mesh), positions, directions, SCANNER):
-        found[views, seen] = True
-    assert np.mean(found != brute_force(mesh, samples, positions, directions)) < 2e-4
-    assert found.any(axis=1).sum() >= 10
-
-
-def brute_force(mesh, samples, positions, directions):
-    """The rules one by one; every ray against every face."""
-    a, b, c = (mesh.corners[:, corner] for corner in range(3))
-    seen = np.zeros((len(positions), len(samples.points)), dtype=bool)
-    for view, (position, direction) in enumerate(zip(positions, directions, strict=True)):
-        side = np.cross(-direction, c - a)
-        scale = np.einsum("ij,ij->i", b - a, side)
-        for number, (point, normal) in enumerate(zip(samples.points, samples.normals, strict=True)):
-            depth = (point - position) @ direction
-            aside = np.linalg.norm(point - position - depth * direction)
-            angle = np.arccos(np.clip(-normal @ direction, -1, 1))
-            if not (0.2 <= depth <= 0.4 and aside <= 0.2 and angle <= np.radians(60)):
-                continue
-            start = point + LIFT_M * normal
-            u = np.einsum("ij,ij->i", start - a, side) / scale
-            turn = np.cross(start - a, b - a)
-            v = turn @ -direction / scale
-            t = np.einsum("ij,ij->i", c - a, turn) / scale
-            blocked = (u >= 0) & (v >= 0) & (u + v <= 1) & (t > 0) & (t < depth)
-            seen[view, number] = not blocked.any()
-    return seen
 
 
 def test_certificate_counts_rows_and_features():

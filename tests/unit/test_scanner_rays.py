@@ -1,11 +1,11 @@
 import numpy as np
 import pytest
 
-from meshes import grid, moved, random_transform
+from meshes import grid, joined, moved, random_transform
 from skinplan.errors import InputError
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.scanner.rays import RayCaster
-from skinplan.transforms import apply, rotate
+from skinplan.transforms import apply, rotate, transform
 
 PANEL = grid(1.0, 0.6, 0.05, lambda x, y: 0.1 * np.sin(5 * x) * np.cos(4 * y))
 
@@ -73,6 +73,29 @@ def test_both_sides_are_hit_and_no_rays_are_no_error():
     empty = np.zeros((0, 3))
     assert caster.hits(empty, empty)[0].shape == (0,)
     assert caster.occluded(empty, empty, 1.0).shape == (0,)
+
+
+def test_obstacles_are_hit_and_have_numbers_of_their_own():
+    low = moved(grid(0.2, 0.2, 0.1), transform((0.0, 0.0, 0.3)))
+    high = moved(grid(0.4, 0.4, 0.2), transform((0.1, 0.0, 0.5)))
+    nothing = SurfaceMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    caster = RayCaster(PANEL, (low, nothing, high))
+    assert caster.part_faces == len(PANEL.faces)
+    origins, directions = rays(4)
+    distance, face = caster.hits(origins + [0.0, 0.0, 0.3], directions)
+    wanted = brute_force(joined(PANEL, low, high), origins + [0.0, 0.0, 0.3], directions)
+    hit = np.isfinite(wanted)
+    np.testing.assert_array_equal(face >= 0, hit)
+    np.testing.assert_allclose(distance[hit], wanted[hit], atol=1e-6)
+    firsts = caster.part_faces + np.array([0, len(low.faces), len(low.faces) + len(high.faces)])
+    assert face.max() < firsts[2]
+    heights = (origins + [0.0, 0.0, 0.3] + np.where(hit, distance, 0.0)[:, None] * directions)[:, 2]
+    for first, after, height in ((firsts[0], firsts[1], 0.3), (firsts[1], firsts[2], 0.5)):
+        among = (face >= first) & (face < after)
+        assert among.any()
+        np.testing.assert_allclose(heights[among], height, atol=1e-6)
+    with pytest.raises(InputError, match="finite"):
+        RayCaster(PANEL, (moved(low, np.diag([np.nan, 1.0, 1.0, 1.0])),))
 
 
 def test_what_can_not_be_used():

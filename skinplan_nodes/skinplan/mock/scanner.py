@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from skinplan.errors import InputError
 from skinplan.mesh.model import SurfaceMesh
-from skinplan.scanner.model import ScannerModel
+from skinplan.scanner.model import CYLINDER, ScannerModel
 from skinplan.scanner.rays import RayCaster
 from skinplan.transforms import Array, apply, inverse, require_transform, transform
 
@@ -59,6 +59,11 @@ class MockScanner:
     ) -> None:
         if rays < 1:
             raise InputError(f"a scanner with {rays} rays was asked; at least 1 is accepted")
+        if scanner.field != CYLINDER:
+            raise InputError(
+                f"the mock scanner has parallel rays: field_of_view {CYLINDER} is accepted, found "
+                f"{scanner.field}"
+            )
         self._normals = mesh.face_normals
         self._scanner = scanner
         self._caster: Caster = RayCaster(mesh) if caster is None else caster

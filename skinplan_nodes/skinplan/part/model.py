@@ -65,9 +65,15 @@ class ScanSettings:
         tilt_max_rad: Largest tilt of a view direction for reach or clearance.
         clearance_m: Least distance between the scanner's origin and the part [m].
         tcp_speed_m_s: Speed limit of the scanner while scanning [m/s].
+        field_of_view: ``cylinder`` (the paper's) or ``cone`` (that it simplifies; r_f is the
+            radius of its section at d_min).
+        least_views: Number of views that each place of the surface should be seen by.
+        incidence_margin_rad: Strategy ``coverage`` counts on views only so far inside the incidence
+            limit [rad] ...
+        field_margin_m: ... and so far inside field of view and range [m].
     """
 
-    strategy: str = "published"
+    strategy: str = "coverage"
     station_strategy: str = "rectangles"
     order_strategy: str = "published"
     sensitivity: float = 2.0
@@ -81,6 +87,10 @@ class ScanSettings:
     tilt_max_rad: float = 0.2617993877991494
     clearance_m: float = 0.15
     tcp_speed_m_s: float = 0.2
+    field_of_view: str = "cylinder"
+    least_views: int = 3
+    incidence_margin_rad: float = 0.05235987755982988
+    field_margin_m: float = 0.005
 
     @property
     def row_interval_m(self) -> float:

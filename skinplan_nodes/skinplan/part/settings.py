@@ -34,7 +34,11 @@ _NUMBERS = {
     "tilt_max_rad": _Bound(0.0, math.pi / 3, "rad"),
     "clearance_m": _Bound(0.0, 5.0, "m"),
     "tcp_speed_m_s": _Bound(0.001, 5.0, "m/s"),
+    "incidence_margin_rad": _Bound(0.0, 0.5, "rad"),
+    "field_margin_m": _Bound(0.0, 0.5, "m"),
 }
+_FIELDS_OF_VIEW = ("cylinder", "cone")
+_MOST_VIEWS = 1000
 _STRATEGIES = ("strategy", "station_strategy", "order_strategy")
 SCAN_KEYS = tuple(field.name for field in dataclasses.fields(ScanSettings))
 
@@ -61,6 +65,10 @@ def read_settings(values: object, place: str, source: str) -> ScanSettings:
     for key in _STRATEGIES:
         if fields.has(key):
             found[key] = fields.text(key, "the name of a strategy")
+    if fields.has("least_views"):
+        found["least_views"] = fields.integer("least_views", 1, _MOST_VIEWS)
+    if fields.has("field_of_view"):
+        found["field_of_view"] = _field_of_view(fields)
     if fields.has("row_direction"):
         found["row_direction"] = _direction(fields)
     settings = ScanSettings(**found)  # type: ignore[arg-type]
@@ -83,6 +91,14 @@ def settings_fields(settings: ScanSettings) -> dict[str, object]:
     if values["row_direction"] is not None:
         values["row_direction"] = [float(x) for x in values["row_direction"]]
     return values
+
+
+def _field_of_view(fields: Fields) -> str:
+    accepted = " or ".join(_FIELDS_OF_VIEW)
+    name = fields.text("field_of_view", accepted)
+    if name not in _FIELDS_OF_VIEW:
+        raise fields.error("field_of_view", repr(name), accepted)
+    return name
 
 
 def _direction(fields: Fields) -> tuple[float, float, float]:

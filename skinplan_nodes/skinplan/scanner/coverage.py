@@ -2,30 +2,52 @@
 
 A view sees a point of the surface when all of these hold:
 
-- the point is in the cylinder of radius r_f about the view axis, between d_min and d_max along it;
+- the point is in the field of view, between d_min and d_max along the view axis. The field is the
+  paper's cylinder of radius r_f about the axis, or the cone that it simplifies: its apex is the
+  scanner's origin, its radius is r_f at d_min and grows with the depth;
 - the angle between the view axis and the inward normal of the surface is at most the incidence
-  limit (the paper's cylinder has parallel rays: the axis counts, not the ray from the scanner's
-  origin);
-- nothing of the part is on the ray from the point, parallel to the axis, up to the plane of the
-  scanner's origin. Rays start 2 mm off the surface, so that the chords of a curved surface do not
-  hide their own neighbours.
+  limit. The axis counts, not the ray from the scanner's origin: the paper's cylinder has parallel
+  rays. The angle of the ray is reported beside it. In the cone, whose rays come from one point, the
+  surface also has to face that point;
+- nothing of the part or of what stands about it is on the ray from the point: parallel to the axis
+  up to the plane of the scanner's origin (cylinder), or to the origin (cone). Rays start 2 mm off
+  the surface, so that the chords of a curved surface do not hide their own neighbours.
+
+`skinplan.scanner.sight` says which reason is given for what is not seen.
+
+Sampling error. Each sample stands for an area of about spacing x spacing, and only samples beside
+the boundary of what is seen can be on the wrong side of it. So an area with a boundary of length L
+is found within L x spacing; errors along the boundary mostly cancel, and on planes, cylinders and
+spheres a tenth of that was not exceeded. A curved surface is judged by its facets: with an
+incidence limit the boundary runs along their edges, so half a facet's width comes on top of the
+spacing. A hole smaller than a spacing across can be missed.
+`skinplan.scanner.figures.sampling_error` gives the figure of a certificate.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.errors import ScanPathInvalidError
 from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.scan_path.model import ScanPath
+from skinplan.scanner.certifier import Certifier
+from skinplan.scanner.figures import all_figures, region_shares, seen_ratio
 from skinplan.scanner.model import Coverage, CoverageFigures, ScannerModel, SurfaceSamples
+from skinplan.scanner.motion import STEP_M, STEP_RAD
 from skinplan.scanner.rays import RayCaster
-from skinplan.scanner.samples import sample_surface
+from skinplan.scanner.views import LIFT_M, checked_views, looks, sight_rays
 from skinplan.transforms import Array
 
-LIFT_M = 0.002
-_RAYS_AT_ONCE = 500_000
+__all__ = [
+    "LIFT_M",
+    "certify",
+    "certify_motion",
+    "coverage_figures",
+    "seen_ratio",
+    "visible",
+    "visible_pairs",
+]
 
 
 def visible(
@@ -72,25 +94,11 @@ def visible_pairs(
     Yields:
         View numbers and sample numbers, both of shape (k,).
     """
-    places, views = _checked_views(positions, directions)
-    # Sorted along the part's longest side, every view looks at one slice only.
-    axis = int(np.argmax(np.ptp(samples.points, axis=0))) if len(samples.points) else 0
-    order = np.argsort(samples.points[:, axis], kind="stable")
-    points, normals = samples.points[order], samples.normals[order]
-    middles = places + views * (scanner.range_min_m + scanner.range_max_m) / 2
-    reach = np.hypot(scanner.field_radius_m, (scanner.range_max_m - scanner.range_min_m) / 2)
-    begins = np.searchsorted(points[:, axis], middles[:, axis] - reach)
-    ends = np.searchsorted(points[:, axis], middles[:, axis] + reach)
-    waiting: list[tuple[int, NDArray[np.int64], Array]] = []
-    size = 0
-    for view in range(len(places)):
-        part = slice(begins[view], ends[view])
-        inside, depth = _in_field(points[part], normals[part], places[view], views[view], scanner)
-        waiting.append((view, inside + begins[view], depth))
-        size += len(inside)
-        if size >= _RAYS_AT_ONCE or view == len(places) - 1:
-            yield _unhidden(waiting, points, normals, views, caster, order)
-            waiting, size = [], 0
+    places, views = checked_views(positions, directions)
+    for found in looks(samples, places, views, scanner):
+        rays = sight_rays(samples, found.samples, places[found.views], views[found.views], scanner)
+        free = ~caster.occluded(*rays)
+        yield found.views[free], found.samples[free]
 
 
 def certify(
@@ -100,8 +108,13 @@ def certify(
     scanner: ScannerModel,
     spacing_m: float = 0.005,
     caster: RayCaster | None = None,
+    occluders: Sequence[SurfaceMesh] = (),
+    least_views: int = 3,
+    clearance_m: float | None = None,
 ) -> Coverage:
-    """Says what a scan path will see, before anything moves.
+    """Says what the points of a scan path will see, before anything moves.
+
+    `skinplan.scanner.certifier.Certifier` does it for several paths of one part.
 
     Args:
         mesh: The part.
@@ -109,45 +122,67 @@ def certify(
         path: The scan path, in the frame of the mesh.
         scanner: Field of view, range and incidence limit.
         spacing_m: Distance between the surface samples [m].
-        caster: Rays against the mesh, when they are at hand.
+        caster: Rays against the mesh and what stands about it, when they are at hand.
+        occluders: What else may hide the part, in its frame: the fixture.
+        least_views: Number of views that is asked for.
+        clearance_m: Least distance of the scanner's origin from the part [m]: also says what can be
+            seen at all. None = that is not asked.
 
     Returns:
         The coverage.
 
     Raises:
         ScanPathInvalidError: The path is not finite, or a direction is no unit vector.
+        InputError: A spacing, a number of views or a clearance that can't be used.
     """
-    samples = sample_surface(mesh, spacing_m)
-    rays = caster or RayCaster(mesh)
-    views = visible(samples, rays, path.positions, path.directions, scanner)
-    feature = segmentation.face_region[samples.faces] > 0
-    everywhere = np.ones(len(feature), dtype=bool)
-    return Coverage(
-        samples=samples,
-        views=views,
-        area_ratio=seen_ratio(samples, views, everywhere),
-        feature_area_ratio=seen_ratio(samples, views, feature),
+    certifier = Certifier(
+        mesh, segmentation, scanner, spacing_m, caster, occluders, least_views, clearance_m
     )
+    return certifier.points(path)
 
 
-def seen_ratio(
-    samples: SurfaceSamples, views: NDArray[np.int64], where: NDArray[np.bool_], least: int = 1
-) -> float:
-    """Returns the share of area that is seen.
+def certify_motion(
+    mesh: SurfaceMesh,
+    segmentation: Segmentation,
+    path: ScanPath,
+    scanner: ScannerModel,
+    spacing_m: float = 0.005,
+    caster: RayCaster | None = None,
+    occluders: Sequence[SurfaceMesh] = (),
+    least_views: int = 3,
+    clearance_m: float | None = None,
+    sequences: Sequence[NDArray[np.int64]] | None = None,
+    step_m: float = STEP_M,
+    step_rad: float = STEP_RAD,
+) -> Coverage:
+    """Says what a scan path will see at its points and along the motion between them.
 
     Args:
-        samples: The surface samples.
-        views: Number of views of each, shape (s,).
-        where: Which samples count, shape (s,).
-        least: Number of views from which on a sample counts as seen.
+        mesh: As for `certify`; all further ones up to `clearance_m` too.
+        segmentation: Its complex regions.
+        path: The scan path, in the frame of the mesh.
+        scanner: Field of view, range and incidence limit.
+        spacing_m: Distance between the surface samples [m].
+        caster: Rays, when they are at hand.
+        occluders: What else may hide the part.
+        least_views: Number of views that is asked for.
+        clearance_m: Least distance of the scanner's origin from the part [m], or None.
+        sequences: Point numbers in the order of motion, one array for each motion that scans; None
+            = the rows, each for itself.
+        step_m: Largest distance between views along the motion [m].
+        step_rad: Largest angle between them [rad].
 
     Returns:
-        Share [1]; NaN when no samples count.
+        The coverage; `Certifier.motion` says what of it is exact.
+
+    Raises:
+        ScanPathInvalidError: The path is not finite, or a direction is no unit vector.
+        InputError: A figure that can't be used.
     """
-    area = float(samples.weights[where].sum())
-    return (
-        float(samples.weights[where & (views >= least)].sum()) / area if area > 0 else float("nan")
+    certifier = Certifier(
+        mesh, segmentation, scanner, spacing_m, caster, occluders, least_views, clearance_m
     )
+    return certifier.motion(path, sequences, step_m, step_rad)
 
 
 def coverage_figures(path: Coverage, row_cutting: Coverage) -> CoverageFigures:
@@ -165,57 +200,6 @@ def coverage_figures(path: Coverage, row_cutting: Coverage) -> CoverageFigures:
         path.feature_area_ratio,
         row_cutting.area_ratio,
         row_cutting.feature_area_ratio,
+        path.least_views,
+        tuple(region_shares(figures) for figures in all_figures(path)),
     )
-
-
-def _checked_views(positions: Array, directions: Array) -> tuple[Array, Array]:
-    places, views = np.asarray(positions, dtype=float), np.asarray(directions, dtype=float)
-    if places.ndim != 2 or places.shape[1] != 3 or places.shape != views.shape:
-        raise ScanPathInvalidError(
-            f"positions and directions of one shape (n, 3) are accepted, found {places.shape} "
-            f"and {views.shape}"
-        )
-    if not (np.isfinite(places).all() and np.isfinite(views).all()):
-        raise ScanPathInvalidError(
-            "finite positions and directions are accepted, found NaN or infinite values"
-        )
-    lengths = np.linalg.norm(views, axis=1)
-    if len(lengths) and np.abs(lengths - 1.0).max() > 1e-3:
-        raise ScanPathInvalidError(
-            "unit view directions are accepted, found one of length "
-            f"{lengths[np.abs(lengths - 1.0).argmax()]:.4g}"
-        )
-    return places, views
-
-
-def _in_field(
-    points: Array, normals: Array, position: Array, direction: Array, scanner: ScannerModel
-) -> tuple[NDArray[np.int64], Array]:
-    """Returns the samples in the field of view that face it, and their depth on the axis [m]."""
-    offset = points - position
-    depth = offset @ direction
-    aside = np.einsum("ij,ij->i", offset, offset) - depth**2
-    inside = np.flatnonzero(
-        (depth >= scanner.range_min_m)
-        & (depth <= scanner.range_max_m)
-        & (aside <= scanner.field_radius_m**2)
-    )
-    facing = -(normals[inside] @ direction) >= np.cos(scanner.incidence_max_rad) - 1e-12
-    inside = inside[facing]
-    return inside, depth[inside]
-
-
-def _unhidden(
-    waiting: list[tuple[int, NDArray[np.int64], Array]],
-    points: Array,
-    normals: Array,
-    directions: Array,
-    caster: RayCaster,
-    order: NDArray[np.int64],
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    view = np.repeat([entry[0] for entry in waiting], [len(entry[1]) for entry in waiting])
-    place = np.concatenate([entry[1] for entry in waiting])
-    depth = np.concatenate([entry[2] for entry in waiting])
-    starts = points[place] + LIFT_M * normals[place]
-    free = ~caster.occluded(starts, -directions[view], depth)
-    return view[free], order[place[free]]

@@ -1,4 +1,6 @@
-"""Rays against a mesh (Embree, single precision)."""
+"""Rays against a part and what stands about it (Embree, single precision)."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from embreex.mesh_construction import TriangleMesh
@@ -17,27 +19,34 @@ class RayCaster:
 
     Coordinates are those of the mesh. Embree works in single precision: over a part of 3 m it is
     exact to a micrometre. Both sides of a face are hit.
+
+    Attributes:
+        part_faces: Number of faces of the part; higher face numbers are those of the obstacles, one
+            after another.
     """
 
-    def __init__(self, mesh: SurfaceMesh) -> None:
+    def __init__(self, mesh: SurfaceMesh, obstacles: Sequence[SurfaceMesh] = ()) -> None:
         """Builds the acceleration structure.
 
         Args:
-            mesh: What the rays may hit, at least one face.
+            mesh: The part, at least one face.
+            obstacles: What else the rays may hit, in the frame of the part.
 
         Raises:
-            InputError: No faces.
+            InputError: No faces, or an obstacle that is not finite.
         """
         if len(mesh.faces) == 0:
             raise InputError("rays need a mesh with at least one face, found none")
+        self.part_faces = len(mesh.faces)
+        everything = _joined(mesh, obstacles)
         self._origin = mesh.bounds.mean(axis=0)
-        self._corners = mesh.corners - self._origin
-        self._normals = mesh.face_normals
+        self._corners = everything.corners - self._origin
+        self._normals = everything.face_normals
         self._scene = EmbreeScene()
         TriangleMesh(
             scene=self._scene,
-            vertices=(mesh.vertices - self._origin).astype(np.float32),
-            indices=mesh.faces.astype(np.int32),
+            vertices=(everything.vertices - self._origin).astype(np.float32),
+            indices=everything.faces.astype(np.int32),
         )
 
     def hits(self, origins: Array, directions: Array) -> tuple[Array, NDArray[np.int64]]:
@@ -104,3 +113,20 @@ class RayCaster:
                 f"and {along.shape}"
             )
         return starts - self._origin, along
+
+
+def _joined(mesh: SurfaceMesh, obstacles: Sequence[SurfaceMesh]) -> SurfaceMesh:
+    filled = [obstacle for obstacle in obstacles if len(obstacle.faces)]
+    if not filled:
+        return mesh
+    for obstacle in filled:
+        if not np.isfinite(obstacle.vertices).all():
+            raise InputError(
+                "obstacles with finite vertices are accepted, found NaN or infinite values"
+            )
+    meshes = [mesh, *filled]
+    firsts = np.cumsum([0] + [len(each.vertices) for each in meshes[:-1]])
+    return SurfaceMesh(
+        np.concatenate([each.vertices for each in meshes]),
+        np.concatenate([each.faces + first for each, first in zip(meshes, firsts, strict=True)]),
+    )
