@@ -1,0 +1,1 @@
+"""The least number of columns that cover all rows, with proof."""
