@@ -9,10 +9,12 @@ from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.part.settings import check_settings
 from skinplan.scan_path import published
+from skinplan.scan_path.coverage import coverage_path
 from skinplan.scan_path.model import ScanPath
 from skinplan.strategies import chosen
 
 STRATEGIES: dict[str, Callable[[SurfaceMesh, Segmentation, ScanSettings], ScanPath]] = {
+    "coverage": coverage_path,
     "published": published.published_path,
 }
 
