@@ -6,24 +6,30 @@ and exit code 0, 2 (bad input, named) or 1 (failed).
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from skinplan import console
 from skinplan.cell_run import CellRun, RunRequest
-from skinplan.errors import InputError, PartNotFoundError
+from skinplan.errors import InputError, MeshError, PartNotFoundError
+from skinplan.inspection.gaps import seen_points
 from skinplan.inspection.report import write_report
 from skinplan.mesh.check import check_mesh
-from skinplan.mesh.load import load_mesh
+from skinplan.mesh.load import load_mesh, read_mesh
+from skinplan.mesh.model import Finding
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
 from skinplan.part.samples import SAMPLE_TITLES, SAMPLES, write_sample
-from skinplan.pipeline import check_strategies, plan_part
+from skinplan.pipeline import Plan, check_strategies, plan_part
 from skinplan.plan_record import write_json
 from skinplan.recording.reader import open_bag
 from skinplan.replay_run import replay_bag
-from skinplan.robot.cell import load_cell
+from skinplan.robot.cell import CellConfig, load_cell
+from skinplan.summary_rows import plan_rows, run_rows
+
+if TYPE_CHECKING:
+    from skinplan.view.show import Shown
 
 app = typer.Typer(
     no_args_is_help=True,
@@ -41,7 +47,8 @@ PartArgument = Annotated[
     ),
 ]
 UnitOption = Annotated[
-    str | None, typer.Option("--unit", help="Unit of a mesh file: m, mm, cm or inch.")
+    str | None,
+    typer.Option("--unit", help="Unit of a mesh file: m, mm, cm or inch; STEP has its own."),
 ]
 CellOption = Annotated[
     Path | None, typer.Option("--cell", help="Cell file; without it the default cell.")
@@ -100,14 +107,20 @@ def export_part(
 
 @app.command()
 def check(
-    mesh: Annotated[Path, typer.Argument(help="Mesh file: STL, PLY or OBJ.")],
+    mesh: Annotated[Path, typer.Argument(help="Mesh file: STL, PLY, OBJ or STEP.")],
     unit: Annotated[str, typer.Option(help="Unit of the file: m, mm, cm or inch.")] = "m",
     as_json: JsonOption = False,
 ) -> None:
     """Say what is wrong with a mesh, and what would be done about it."""
     with console.command(as_json):
-        loaded = load_mesh(mesh, unit)
-        repaired, findings = check_mesh(loaded)
+        try:
+            loaded, noticed = read_mesh(mesh, unit)
+            repaired, found = check_mesh(loaded)
+        except MeshError as error:
+            if not as_json:
+                _show_findings(error.findings)
+            raise
+        findings = noticed + found
         size = repaired.bounds[1] - repaired.bounds[0]
         if as_json:
             console.print_json(
@@ -124,11 +137,26 @@ def check(
             f"{mesh}: {len(repaired.faces)} triangles, {repaired.area:.3f} m², "
             f"{size[0]:.3f} × {size[1]:.3f} × {size[2]:.3f} m"
         )
-        rows = [(f.name, f.count, f.action, f.detail) for f in findings]
-        if rows:
-            console.print_table("Findings", ("finding", "count", "action", "detail"), rows)
+        if findings:
+            _show_findings(findings)
         else:
             typer.echo("no findings")
+
+
+def _show_findings(findings: tuple[Finding, ...]) -> None:
+    rows = [
+        (
+            found.name,
+            found.count,
+            found.action,
+            ", ".join(f"{value:.3f}" for value in found.where[0]) if found.where else "",
+            found.detail,
+        )
+        for found in findings
+    ]
+    if rows:
+        header = ("finding", "count", "action", "at (m)", "detail")
+        console.print_table("Findings", header, rows)
 
 
 @app.command()
@@ -139,23 +167,44 @@ def plan(
     strategy: StrategyOption = None,
     stations: StationOption = None,
     order: OrderOption = None,
+    until: Annotated[
+        str, typer.Option(help="Last stage: scan_path, coverage, stations or trajectory.")
+    ] = "trajectory",
+    rescan: Annotated[
+        Path | None,
+        typer.Option(help="Plan only what this run (its folder, or a PLY cloud) left out."),
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the plan's JSON files.")] = None,
+    view: Annotated[
+        bool, typer.Option("--view", help="Write pictures to --out, or else to plan-PART/.")
+    ] = False,
+    browser: Annotated[
+        bool, typer.Option("--browser", help="Serve a 3-D view to this machine until Ctrl+C.")
+    ] = False,
+    port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the 3-D view; 0 = any free one.")
+    ] = 8080,
     as_json: JsonOption = False,
 ) -> None:
     """Plan a part at its nominal place, without ROS."""
     with console.command(as_json):
         asked = _with_strategies(resolve_part(part, unit), strategy, stations, order)
         config = load_cell(cell)
+        seen = None if rescan is None else seen_points(rescan)
+        view_port = _viewer_port(port) if browser else None
         with console.progress_bar(f"plan {asked.id}") as progress:
-            made = plan_part(asked, config, progress)
+            made = plan_part(asked, config, progress, until=until, seen=seen)
         summary = made.summary()
         if out is not None:
             made.write(out)
             write_json(out / "summary.json", summary)
-        if as_json:
-            console.print_json(summary)
-        else:
-            _show_plan(asked, summary, out)
+        if not (view or browser):
+            _print_plan(asked, summary, out, as_json)
+            return
+        pictures = (out or Path(f"plan-{asked.id}")) if view else None
+        with _shown(made, config, pictures, view_port) as views:
+            _print_plan(asked, {**summary, "view": views.document()}, out, as_json)
+            views.wait()
 
 
 @app.command()
@@ -187,7 +236,7 @@ def run(
         if as_json:
             console.print_json(outcome.document())
         else:
-            _show_run(outcome.document())
+            console.print_table("Run", ("what", "value"), run_rows(outcome.document()))
         if not outcome.ended:
             console.stderr.print(f"[bold red]skinplan:[/] {outcome.error}", soft_wrap=True)
             raise typer.Exit(console.EXIT_FAILED)
@@ -275,51 +324,41 @@ def _refuse_bad_mesh(part: Part) -> None:
     check_mesh(load_mesh(part.mesh_path, part.unit))
 
 
+def _viewer_port(port: int) -> int:
+    """Refuses what the 3-D view can't be served with before the long work begins."""
+    from skinplan.view.browser import require_viewer
+
+    require_viewer(port)
+    return port
+
+
+def _shown(made: Plan, config: CellConfig, pictures: Path | None, port: int | None) -> "Shown":
+    # Drawing takes long to load and most commands do not draw.
+    from skinplan.view.show import show_plan
+
+    with console.progress_bar(f"view {made.part.id}") as progress:
+        views = show_plan(made, config, pictures, port, progress)
+    if views.note:
+        console.stderr.print(views.note, soft_wrap=True)
+    return views
+
+
+def _print_plan(part: Part, summary: dict[str, Any], out: Path | None, as_json: bool) -> None:
+    if as_json:
+        console.print_json(summary)
+        return
+    _show_plan(part, summary, out)
+    views = summary.get("view", {})
+    for picture in views.get("pictures", ()):
+        typer.echo(f"picture {picture}")
+    if views.get("url"):
+        typer.echo(f"3-D view at {views['url']} (Ctrl+C ends it)")
+
+
 def _show_plan(part: Part, summary: dict[str, Any], out: Path | None) -> None:
-    path, stations, motion = summary["scan_path"], summary["stations"], summary["trajectory"]
-    coverage = summary["coverage"]
-    feature = coverage["feature_area_ratio"]
-    rows = [
-        (
-            "points",
-            f"{path['points']} ({path['row_points']} on rows, "
-            f"{path['feature_points']} on features)",
-        ),
-        ("predicted coverage", _percent(coverage["area_ratio"])),
-        ("… of the features", _percent(feature)),
-        ("stations", f"{stations['count']} of {stations['candidates']} candidates"),
-        ("points reached", _percent(stations["reached_ratio"])),
-        ("cycle time", f"{motion['cycle_s']:.0f} s (scan {motion['scan_s']:.0f} s)"),
-        ("points skipped", len(motion["skipped"])),
-        ("planned in", f"{summary['planning_s']['total']:.1f} s"),
-        ("plan hash", summary["plan_hash"][:16]),
-    ]
-    console.print_table(f"Plan of {part.id}", ("what", "value"), rows)
+    console.print_table(f"Plan of {part.id}", ("what", "value"), plan_rows(summary))
     if out is not None:
         typer.echo(f"written to {out}")
-
-
-def _show_run(document: dict[str, Any]) -> None:
-    measured = document.get("measured") or {}
-    localization = document.get("localization") or []
-    rows = [
-        ("job", f"{document['job']['id']}: {document['job']['state']}"),
-        ("stations", (document.get("stations") or {}).get("count", "none")),
-        ("quality E", ", ".join(f"{entry['E']:.2f}" for entry in localization if entry.get("E"))),
-        ("area measured", _percent(measured.get("area_ratio"))),
-        ("… of the features", _percent(measured.get("feature_area_ratio"))),
-        ("deviation (rms)", _millimetres(measured.get("deviation_rms_m"))),
-        ("folder", document.get("folder") or "none"),
-    ]
-    console.print_table("Run", ("what", "value"), rows)
-
-
-def _percent(ratio: float | None) -> str:
-    return "none" if ratio is None else f"{100 * ratio:.2f} %"
-
-
-def _millimetres(length_m: float | None) -> str:
-    return "none" if length_m is None else f"{1000 * length_m:.3f} mm"
 
 
 if __name__ == "__main__":

@@ -5,22 +5,25 @@ stage's name and index.
 """
 
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from skinplan.errors import CancelledError, SkinplanError, StageError
+from skinplan.errors import CancelledError, InputError, SkinplanError, StageError
+from skinplan.inspection.gaps import missing_samples
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.model import Part, ScanSettings
-from skinplan.plan_record import planning_summary, write_plan_files
+from skinplan.plan_record import planning_summary, write_json, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import ScanPath
 from skinplan.scan_path.plan import STRATEGIES as SCAN_PATH_STRATEGIES
 from skinplan.scan_path.plan import plan_scan_path
-from skinplan.scanner.model import CoverageFigures
-from skinplan.scanner.predict import predict_coverage
+from skinplan.scan_path.rescan import rescan_path
+from skinplan.scanner.coverage_ply import write_coverage_ply
+from skinplan.scanner.document import coverage_document
+from skinplan.scanner.predict import Prediction, predict_coverage
 from skinplan.stations.model import StationPlan
 from skinplan.stations.plan import STRATEGIES as STATION_STRATEGIES
 from skinplan.stations.plan import plan_stations
@@ -29,13 +32,20 @@ from skinplan.trajectory.cycle import CycleTime, cycle_time
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.trajectory.plan import STRATEGIES as ORDER_STRATEGIES
 from skinplan.trajectory.plan import plan_trajectories
+from skinplan.transforms import Array
 
 Progress = Callable[[float, str], None]
 Result = TypeVar("Result")
 
 STAGES = ("mesh", "scan_path", "coverage", "stations", "trajectory")
 # Share of the whole planning time that each stage takes on the sample parts, for the progress bar.
-_SHARES = {"mesh": 0.08, "scan_path": 0.07, "coverage": 0.15, "stations": 0.2, "trajectory": 0.5}
+_SHARES = {"mesh": 0.05, "scan_path": 0.35, "coverage": 0.1, "stations": 0.3, "trajectory": 0.2}
+
+
+def stage_shares(stages: Sequence[str]) -> dict[str, float]:
+    """Returns about which share of the planning time each of some stages takes."""
+    total = sum(_SHARES[name] for name in stages)
+    return {name: _SHARES[name] / total for name in stages}
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,21 +56,21 @@ class Plan:
         part: The part.
         prepared: Mesh, findings and regions.
         path: Scan path, workpiece frame.
-        coverage: What the scan path sees, predicted.
-        station_plan: Stations, map frame.
-        trajectories: Of all stations, in the order of visit.
-        cycle: Cycle time figures.
         planning_s: Wall time of each stage [s].
+        prediction: What the scan path sees, predicted; None = not asked for.
+        station_plan: Stations, map frame; None = not asked for.
+        trajectories: Of all stations, in the order of visit; empty = not asked for.
+        cycle: Cycle time figures; None = not asked for.
     """
 
     part: Part
     prepared: PreparedMesh
     path: ScanPath
-    coverage: CoverageFigures
-    station_plan: StationPlan
-    trajectories: tuple[StationTrajectory, ...]
-    cycle: CycleTime
     planning_s: dict[str, float]
+    prediction: Prediction | None = None
+    station_plan: StationPlan | None = None
+    trajectories: tuple[StationTrajectory, ...] = ()
+    cycle: CycleTime | None = None
 
     def summary(self) -> dict[str, Any]:
         """Returns the document that ``skinplan plan --json`` prints."""
@@ -69,7 +79,7 @@ class Plan:
             area_m2=self.prepared.mesh.area,
             mesh_sha256=self.part.mesh_sha256,
             path=self.path,
-            coverage=self.coverage,
+            coverage=None if self.prediction is None else self.prediction.figures,
             station_plan=self.station_plan,
             trajectories=self.trajectories,
             cycle=self.cycle,
@@ -77,15 +87,19 @@ class Plan:
         )
 
     def write(self, folder: Path) -> None:
-        """Writes the plan's JSON files to a folder."""
+        """Writes the plan's JSON files to a folder, and the coverage as coloured mesh."""
         write_plan_files(
             folder,
             self.path,
             self.station_plan,
-            self.trajectories,
+            self.trajectories if self.cycle is not None else None,
             JOINT_NAMES,
             self.part.T_map_workpiece,
         )
+        if self.prediction is not None:
+            certificate = self.prediction.path
+            write_json(folder / "coverage.json", coverage_document(certificate))
+            write_coverage_ply(folder / "coverage.ply", self.prepared.mesh, certificate)
 
 
 @dataclass
@@ -96,11 +110,13 @@ class StageRunner:
         progress: Told the share done and what is being done.
         is_cancelled: Asked before each stage.
         planning_s: Wall time of the stages run so far [s].
+        shares: Share of each stage of the whole, for the progress; the sum is 1.
     """
 
     progress: Progress | None = None
     is_cancelled: Callable[[], bool] | None = None
     planning_s: dict[str, float] = field(default_factory=dict)
+    shares: dict[str, float] = field(default_factory=lambda: stage_shares(STAGES))
 
     def run(self, stage: str, work: Callable[[], Result]) -> Result:
         """Runs one stage.
@@ -132,8 +148,8 @@ class StageRunner:
     def report(self, stage: str, fraction: float, text: str) -> None:
         """Tells the progress of a stage as a share of the whole."""
         if self.progress is not None:
-            before = sum(_SHARES[name] for name in STAGES[: STAGES.index(stage)])
-            self.progress(before + _SHARES[stage] * fraction, text)
+            before = sum(self.shares.get(name, 0.0) for name in STAGES[: STAGES.index(stage)])
+            self.progress(min(before + self.shares.get(stage, 0.0) * fraction, 1.0), text)
 
     def within(self, stage: str) -> Progress:
         """Returns the progress callback that a stage gets."""
@@ -156,6 +172,8 @@ def plan_part(
     cell: CellConfig,
     progress: Progress | None = None,
     is_cancelled: Callable[[], bool] | None = None,
+    until: str = STAGES[-1],
+    seen: Array | None = None,
 ) -> Plan:
     """Plans a part at its nominal place, from the mesh to the timed trajectories.
 
@@ -164,26 +182,46 @@ def plan_part(
         cell: Where and with what.
         progress: Told the share done and what is being done.
         is_cancelled: Asked between and inside the stages.
+        until: Last stage wanted, ``scan_path`` or a later one of `STAGES`.
+        seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]: only what they
+            leave out is planned; None = the whole part.
 
     Returns:
-        The plan.
+        The plan, up to the stage asked for.
 
     Raises:
+        InputError: No such stage.
         StageError: A stage failed; its ``cause`` says why.
         CancelledError: The caller asked to stop.
     """
-    stages = StageRunner(progress, is_cancelled)
+    if until not in STAGES[1:]:
+        raise InputError(
+            f"a plan until {until!r} was asked for; accepted are {', '.join(STAGES[1:])}"
+        )
+    wanted = STAGES[: STAGES.index(until) + 1]
+    stages = StageRunner(progress, is_cancelled, shares=stage_shares(wanted))
     scan = part.scan
     prepared = stages.run("mesh", lambda: prepare_mesh(part))
     mesh, segmentation = prepared.mesh, prepared.segmentation
-    path = stages.run("scan_path", lambda: plan_scan_path(mesh, segmentation, scan))
-    coverage = stages.run("coverage", lambda: predict_coverage(mesh, segmentation, path, scan))
+    path = stages.run("scan_path", lambda: plan_path(prepared, scan, seen))
+    planned = Plan(part, prepared, path, stages.planning_s)
+    if "coverage" not in wanted:
+        return planned
+    prediction = stages.run(
+        "coverage", lambda: predict_coverage(mesh, segmentation, path, scan, part.fixture)
+    )
+    planned = replace(planned, prediction=prediction)
+    if "stations" not in wanted:
+        return planned
     station_plan = stages.run(
         "stations",
         lambda: plan_stations(
             path, part.T_map_workpiece, mesh, scan, cell, stages.within("stations"), is_cancelled
         ),
     )
+    planned = replace(planned, station_plan=station_plan)
+    if "trajectory" not in wanted:
+        return planned
     trajectories = stages.run(
         "trajectory",
         lambda: plan_trajectories(
@@ -198,6 +236,24 @@ def plan_part(
         ),
     )
     cycle = cycle_time(station_plan, trajectories, cell, scan, path)
-    return Plan(
-        part, prepared, path, coverage, station_plan, trajectories, cycle, dict(stages.planning_s)
-    )
+    return replace(planned, trajectories=trajectories, cycle=cycle)
+
+
+def plan_path(prepared: PreparedMesh, scan: ScanSettings, seen: Array | None = None) -> ScanPath:
+    """Plans the scan path of a part, or of what a run has left out.
+
+    Args:
+        prepared: The part's mesh.
+        scan: Scan settings.
+        seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]; None = the whole
+            part is planned.
+
+    Raises:
+        NothingMissingError: The run left nothing out.
+        SkinplanError: As `plan_scan_path`.
+    """
+    chosen("scan path", scan.strategy, SCAN_PATH_STRATEGIES)
+    if seen is None:
+        return plan_scan_path(prepared.mesh, prepared.segmentation, scan)
+    missing = missing_samples(prepared.mesh, seen)
+    return rescan_path(prepared.mesh, prepared.segmentation, scan, missing)

@@ -5,6 +5,7 @@ import json
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import numpy as np
 
 from skinplan.scan_path.model import FEATURE, ScanPath
 from skinplan.scanner.model import CoverageFigures
+from skinplan.scanner.sight import SIGHT_NAMES
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.trajectory.cycle import CycleTime
 from skinplan.trajectory.model import SCAN, StationTrajectory
@@ -62,10 +64,10 @@ def planning_summary(
     area_m2: float,
     mesh_sha256: str,
     path: ScanPath,
-    coverage: CoverageFigures,
-    station_plan: StationPlan,
+    coverage: CoverageFigures | None,
+    station_plan: StationPlan | None,
     trajectories: Sequence[StationTrajectory],
-    cycle: CycleTime,
+    cycle: CycleTime | None,
     planning_s: Mapping[str, float],
 ) -> dict[str, Any]:
     """Returns the planning part of ``summary.json``; the keys that a plan and a run share.
@@ -75,18 +77,16 @@ def planning_summary(
         area_m2: Area of the mesh [m^2].
         mesh_sha256: Hash of the mesh file.
         path: Scan path.
-        coverage: Predicted coverage.
-        station_plan: Stations.
+        coverage: Predicted coverage; None = not asked, then its key is left out.
+        station_plan: Stations; None as above.
         trajectories: Of all stations.
-        cycle: Cycle time figures.
+        cycle: Cycle time figures; None as above, and there is no ``plan_hash``.
         planning_s: Wall time of the stages mesh, scan_path, coverage, stations, trajectory [s].
 
     Returns:
         A document of plain numbers, strings, lists and dicts; NaN is written as None.
     """
-    hashes = [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
-    skipped = [*station_plan.skipped, *(s for t in trajectories for s in t.skipped)]
-    document = {
+    document: dict[str, Any] = {
         "mesh": {"triangles": triangles, "area_m2": area_m2, "sha256": mesh_sha256},
         "scan_path": {
             "strategy": path.strategy,
@@ -94,18 +94,22 @@ def planning_summary(
             "row_points": path.row_points,
             "feature_points": path.feature_points,
             "regions": path.regions,
+            "lower_bound": path.lower_bound,
+            "left_out": len(path.left_out),
+            "hash": scan_path_hash(path),
         },
-        "coverage": {
-            "area_ratio": coverage.area_ratio,
-            "feature_area_ratio": coverage.feature_area_ratio,
-            "rows_only_area_ratio": coverage.rows_only_area_ratio,
-            "rows_only_feature_area_ratio": coverage.rows_only_feature_area_ratio,
-        },
-        "stations": _stations_summary(station_plan),
-        "trajectory": _cycle_summary(cycle, skipped),
-        "plan_hash": combined_hash(hashes),
-        "planning_s": {**planning_s, "total": float(sum(planning_s.values()))},
     }
+    if coverage is not None:
+        document["coverage"] = _coverage_summary(coverage)
+    if station_plan is not None:
+        document["stations"] = _stations_summary(station_plan)
+    if station_plan is not None and cycle is not None:
+        skipped = [*station_plan.skipped, *(s for t in trajectories for s in t.skipped)]
+        document["trajectory"] = _cycle_summary(cycle, skipped)
+        document["plan_hash"] = combined_hash(
+            [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
+        )
+    document["planning_s"] = {**planning_s, "total": float(sum(planning_s.values()))}
     return plain(document)
 
 
@@ -116,8 +120,11 @@ def write_plan_files(
     trajectories: Sequence[StationTrajectory] | None = None,
     joint_names: Sequence[str] = (),
     T_map_workpiece: Array | None = None,
+    coverage: CoverageFigures | None = None,
 ) -> None:
-    """Writes ``scan_path.json``, ``stations.json``, ``trajectories.json``: those that are given.
+    """Writes the JSON files of a plan: those whose parts are given.
+
+    They are ``scan_path.json``, ``coverage.json``, ``stations.json`` and ``trajectories.json``.
 
     Args:
         folder: Created when it is missing.
@@ -126,10 +133,13 @@ def write_plan_files(
         trajectories: Joint trajectories of the stations.
         joint_names: Names of their joints, in the order of the columns.
         T_map_workpiece: Where the stations were planned for, shape (4, 4) [m].
+        coverage: Predicted coverage.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if path is not None:
         write_json(folder / "scan_path.json", _path_document(path))
+    if coverage is not None:
+        write_json(folder / "coverage.json", _coverage_document(coverage))
     if station_plan is not None:
         write_json(folder / "stations.json", _stations_document(station_plan, T_map_workpiece))
     if trajectories is not None:
@@ -164,6 +174,27 @@ def _update(digest: Any, array: Any) -> None:
     if values.dtype.kind == "f":
         values = np.rint(values / _HASH_STEP)
     digest.update(np.ascontiguousarray(values, dtype="<i8").tobytes())
+
+
+def _coverage_summary(coverage: CoverageFigures) -> dict[str, Any]:
+    document: dict[str, Any] = {
+        "area_ratio": coverage.area_ratio,
+        "feature_area_ratio": coverage.feature_area_ratio,
+        "rows_only_area_ratio": coverage.rows_only_area_ratio,
+        "rows_only_feature_area_ratio": coverage.rows_only_feature_area_ratio,
+    }
+    if coverage.regions:
+        whole = coverage.regions[0]
+        document |= {
+            "least_views": coverage.least_views,
+            "often_seen_area_ratio": whole.often_seen_ratio,
+            "seeable_area_ratio": whole.seeable_ratio,
+            "area_ratio_of_seeable": whole.seen_of_seeable_ratio,
+            "often_seen_area_ratio_of_seeable": whole.often_seen_of_seeable_ratio,
+            "largest_axis_incidence_rad": whole.axis_rad[2],
+            "area_ratio_within_ray_incidence": whole.ray_within_limit_ratio,
+        }
+    return document
 
 
 def _stations_summary(plan: StationPlan) -> dict[str, Any]:
@@ -201,6 +232,11 @@ def _path_document(path: ScanPath) -> dict[str, Any]:
         "strategy": path.strategy,
         "regions": path.regions,
         "hash": scan_path_hash(path),
+        "lower_bound": path.lower_bound,
+        "left_out": [
+            {"target": np.round(left.target, _DECIMALS), "reason": left.reason}
+            for left in path.left_out
+        ],
         "points": [
             {
                 "position": np.round(position, _DECIMALS),
@@ -212,6 +248,15 @@ def _path_document(path: ScanPath) -> dict[str, Any]:
             for position, direction, target, kind, group in rows
         ],
     }
+
+
+def _coverage_document(coverage: CoverageFigures) -> dict[str, Any]:
+    regions = []
+    for region in coverage.regions:
+        document = asdict(region)
+        areas = document.pop("areas_m2")
+        regions.append({**document, "area_by_state_m2": dict(zip(SIGHT_NAMES, areas, strict=True))})
+    return {**_coverage_summary(coverage), "regions": regions}
 
 
 def _stations_document(plan: StationPlan, T_map_workpiece: Array | None) -> dict[str, Any]:

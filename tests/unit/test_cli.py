@@ -1,6 +1,13 @@
 """The command: what it prints, how it refuses bad input (code 2, one sentence, no traceback)."""
 
+import importlib.util
 import json
+import os
+import signal
+import subprocess
+import sys
+import urllib.request
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -8,6 +15,10 @@ import trimesh
 from typer.testing import CliRunner
 
 from skinplan.cli import app
+from skinplan.inspection.cloud import write_ply
+from skinplan.mesh.check import check_mesh
+from skinplan.mesh.load import load_mesh
+from skinplan.scanner.samples import sample_surface
 
 runner = CliRunner()
 
@@ -62,9 +73,87 @@ def test_plan_of_a_bare_mesh_in_millimetres(tmp_path):
     assert keys <= set(summary)
     assert summary["coverage"]["area_ratio"] > 0.99
     written = {path.name for path in (tmp_path / "plan").iterdir()}
-    assert written == {"scan_path.json", "stations.json", "trajectories.json", "summary.json"}
+    assert written == {
+        *(f"{name}.json" for name in ("scan_path", "coverage", "stations", "trajectories")),
+        "coverage.ply",
+        "summary.json",
+    }
     again = invoke("plan", mesh, "--unit", "mm", "--json")
     assert json.loads(again.stdout)["plan_hash"] == summary["plan_hash"]
+
+
+def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    result = invoke("plan", flat_mesh(tmp_path), "--view", "--json")
+    assert result.exit_code == 0, result.stderr
+    view = json.loads(result.stdout)["view"]
+    assert view["url"] is None
+    names = [Path(file).name for file in view["pictures"]]
+    assert names == ["regions.png", "points.png", "rows.png", "coverage.png", "stations.png"]
+    for file in view["pictures"]:
+        assert Path(file).parent == Path("plan-flat")
+        assert Path(file).read_bytes().startswith(b"\x89PNG")
+
+
+def test_plan_writes_pictures_beside_the_plan(tmp_path):
+    result = invoke("plan", flat_mesh(tmp_path), "--view", "--out", tmp_path / "here")
+    assert result.exit_code == 0, result.stderr
+    written = {path.name for path in (tmp_path / "here").iterdir()}
+    assert written >= {"scan_path.json", "summary.json", "regions.png", "stations.png"}
+    assert str(tmp_path / "here" / "coverage.png") in result.stdout.replace("\n", "")
+
+
+def test_pictures_that_can_not_be_written_are_a_named_error(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "plan-flat").write_text("in the way")
+    result = invoke("plan", flat_mesh(tmp_path), "--view")
+    assert result.exit_code == 1
+    assert "plan-flat" in result.stderr
+    assert "Traceback" not in result.stderr
+
+
+@pytest.mark.parametrize("port", [-1, 70000, "x"])
+def test_the_view_refuses_what_is_no_port(tmp_path, port):
+    result = invoke("plan", flat_mesh(tmp_path), "--browser", "--port", port)
+    assert result.exit_code == 2
+    assert "port" in result.stderr
+
+
+def test_without_viser_the_view_is_refused_before_planning(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "viser", None)
+    result = invoke("plan", flat_mesh(tmp_path), "--browser", "--json")
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["error"]["kind"] == "ViewerMissingError"
+    assert "pip install" in result.stderr
+    assert "stations" not in result.stderr
+
+
+@pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
+def test_the_view_is_served_until_ctrl_c(tmp_path):
+    command = [sys.executable, "-m", "skinplan.cli", "plan", str(flat_mesh(tmp_path))]
+    process = subprocess.Popen(
+        [*command, "--browser", "--port", "0", "--json"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.DEVNULL,
+        text=True,
+        env={**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)},
+    )
+    try:
+        text = ""
+        while not text.endswith("\n}\n"):
+            line = process.stdout.readline()
+            assert line, text
+            text += line
+        url = json.loads(text)["view"]["url"]
+        with urllib.request.urlopen(url, timeout=20) as answer:
+            assert answer.status == 200
+        process.send_signal(signal.SIGINT)
+        rest, _ = process.communicate(timeout=30)
+    finally:
+        process.kill()
+    assert (process.returncode, rest) == (0, "")
+    with pytest.raises(OSError):
+        urllib.request.urlopen(url, timeout=5)
 
 
 def broken_mesh(tmp_path, kind):
@@ -155,3 +244,63 @@ def test_a_bad_part_file_names_the_key(tmp_path, old, new, word):
     result = invoke("plan", file)
     assert result.exit_code == 2
     assert word in result.stderr
+
+
+def test_plan_until_a_stage_has_that_stage_and_no_later_one(tmp_path):
+    mesh = flat_mesh(tmp_path)
+    result = invoke("plan", str(mesh), "--unit", "m", "--until", "coverage", "--json")
+    assert result.exit_code == 0, result.stderr
+    document = json.loads(result.stdout)
+    assert document["coverage"]["area_ratio"] > 0.99
+    assert "stations" not in document and "plan_hash" not in document
+    result = invoke("plan", str(mesh), "--unit", "m", "--until", "paint")
+    assert result.exit_code == 2
+    assert "scan_path, coverage, stations, trajectory" in result.stderr
+
+
+def test_plan_writes_the_certificate_as_data_and_as_coloured_mesh(tmp_path):
+    mesh = flat_mesh(tmp_path)
+    folder = tmp_path / "plan"
+    arguments = ("--unit", "m", "--until", "coverage", "--out", str(folder))
+    result = invoke("plan", str(mesh), *arguments)
+    assert result.exit_code == 0, result.stderr
+    certificate = json.loads((folder / "coverage.json").read_text())
+    assert certificate["regions"][0]["name"] == "whole part"
+    assert certificate["regions"][0]["often_seen_of_seeable_ratio"] > 0.99
+    coloured = trimesh.load(folder / "coverage.ply", process=False)
+    assert len(coloured.visual.face_colors) == len(coloured.faces)
+    assert not (folder / "stations.json").exists()
+
+
+def test_rescan_plans_only_what_the_cloud_leaves_out(tmp_path):
+    mesh = flat_mesh(tmp_path)
+    whole, _ = check_mesh(load_mesh(mesh))
+    points = sample_surface(whole, 0.004).points
+    write_ply(
+        tmp_path / "cloud.ply", points[np.hypot(points[:, 0] - 0.3, points[:, 1] - 0.2) > 0.05]
+    )
+    arguments = ("--unit", "m", "--until", "scan_path", "--json", "--rescan")
+    result = invoke("plan", str(mesh), *arguments, str(tmp_path / "cloud.ply"))
+    assert result.exit_code == 0, result.stderr
+    path = json.loads(result.stdout)["scan_path"]
+    assert (path["strategy"], path["points"]) == ("rescan", 3)
+    # The folder of a run holds its cloud.
+    assert invoke("plan", str(mesh), *arguments, str(tmp_path)).exit_code == 0
+    write_ply(tmp_path / "cloud.ply", points)
+    result = invoke("plan", str(mesh), *arguments, str(tmp_path))
+    assert result.exit_code == 1
+    assert json.loads(result.stdout)["error"]["kind"] == "NothingMissingError"
+    write_ply(tmp_path / "cloud.ply", points, "tracker")
+    result = invoke("plan", str(mesh), *arguments, str(tmp_path))
+    assert result.exit_code == 2
+    assert "frame workpiece is accepted" in result.stderr
+    assert invoke("plan", str(mesh), *arguments, str(tmp_path / "none.ply")).exit_code == 2
+
+
+def test_a_refused_mesh_has_its_findings_in_the_json_error(tmp_path):
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]], process=False)
+    flat.export(tmp_path / "flat.stl")
+    result = invoke("check", str(tmp_path / "flat.stl"), "--json")
+    assert result.exit_code == 2
+    error = json.loads(result.stdout)["error"]
+    assert error["findings"][0]["action"] == "refused"
