@@ -7,10 +7,12 @@ from urllib.parse import unquote, urlparse
 
 from skinplan_msgs.msg import PartReference
 
-from skinplan.errors import MeshHashError, PartInvalidError, PartNotFoundError
+from skinplan.errors import CloudInvalidError, MeshHashError, PartInvalidError, PartNotFoundError
+from skinplan.inspection.gaps import seen_points
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.files import load_part
 from skinplan.part.model import Part
+from skinplan.transforms import Array
 
 
 class PartCache:
@@ -72,22 +74,54 @@ def part_path(uri: str) -> Path:
         PartInvalidError: Empty, of another scheme, or relative.
         PartNotFoundError: No such file.
     """
-    text = uri.strip()
-    if text.startswith("file:"):
-        parsed = urlparse(text)
-        text = unquote(parsed.path) if parsed.netloc in ("", "localhost") else ""
-    if not text or "\0" in text or not Path(text).is_absolute():
+    path = _local_path(uri)
+    if path is None:
         raise PartInvalidError(
             f"part {uri!r} was asked for; an absolute path or a file:// URI of a part.yaml is "
             f"accepted"
         )
-    path = Path(text)
-    try:
-        found = path.is_file()
-    except OSError:
-        found = False
-    if not found:
+    if not _is_file(path):
         raise PartNotFoundError(
             f"part {uri!r} was asked for, there is no such file; an existing part.yaml is accepted"
         )
     return path
+
+
+def cloud_points(uri: str) -> Array | None:
+    """Reads the cloud that a URI means.
+
+    Args:
+        uri: Absolute path or ``file://`` URI of a PLY cloud in the workpiece frame, or of a run's
+            folder; empty = none.
+
+    Returns:
+        Points, workpiece frame, shape (n, 3) [m]; None without a URI.
+
+    Raises:
+        CloudInvalidError: Another URI, no such file, or no such cloud.
+    """
+    if not uri.strip():
+        return None
+    path = _local_path(uri)
+    if path is None:
+        raise CloudInvalidError(
+            f"the cloud {uri!r} was given; an absolute path or a file:// URI of a PLY cloud is "
+            f"accepted"
+        )
+    return seen_points(path)
+
+
+def _local_path(uri: str) -> Path | None:
+    """Returns the path of an absolute path or file URI; None for anything else."""
+    text = uri.strip()
+    if text.startswith("file:"):
+        parsed = urlparse(text)
+        text = unquote(parsed.path) if parsed.netloc in ("", "localhost") else ""
+    return Path(text) if text and "\0" not in text and Path(text).is_absolute() else None
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return path.is_file()
+    except OSError:
+        return False

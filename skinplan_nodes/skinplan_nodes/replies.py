@@ -19,6 +19,8 @@ CODES: dict[type[Exception], int] = {
     errors.PartInvalidError: Status.PART_INVALID,
     errors.CellInvalidError: Status.CELL_INVALID,
     errors.StrategyUnknownError: Status.STRATEGY_UNKNOWN,
+    errors.NothingMissingError: Status.NOTHING_MISSING,
+    errors.InspectionPointsError: Status.INSPECTION_POINTS_INVALID,
     errors.MeshNotFoundError: Status.MESH_NOT_FOUND,
     errors.MeshUnreadableError: Status.MESH_UNREADABLE,
     errors.MeshEmptyError: Status.MESH_EMPTY,
@@ -43,6 +45,7 @@ CODES: dict[type[Exception], int] = {
     errors.LocalizationError: Status.NO_TRANSFORM,
     errors.NoCandidatesError: Status.NO_CANDIDATES,
     errors.NothingReachedError: Status.NOTHING_REACHED,
+    errors.NoTrackerStationError: Status.NO_TRACKER_STATION,
     errors.StartStateError: Status.START_STATE_INVALID,
     errors.NoTrajectoryError: Status.NO_TRAJECTORY,
     errors.NoCloudError: Status.NO_CLOUD,
@@ -50,6 +53,9 @@ CODES: dict[type[Exception], int] = {
     errors.AlignmentError: Status.ALIGNMENT_FAILED,
     errors.UnknownPartError: Status.UNKNOWN_PART,
     errors.CancelledError: Status.PLANNING_CANCELLED,
+    # Of the command; no node shows anything.
+    errors.ViewerMissingError: Status.INTERNAL,
+    errors.PortBusyError: Status.REQUEST_INVALID,
 }
 
 

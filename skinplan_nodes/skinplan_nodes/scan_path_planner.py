@@ -11,12 +11,12 @@ from skinplan_msgs import msg as messages
 from skinplan_msgs.msg import Status
 from skinplan_msgs.srv import PlanScanPath
 
-from skinplan.scan_path.plan import plan_scan_path
+from skinplan.pipeline import plan_path
 from skinplan.scanner.predict import predict_coverage
-from skinplan_nodes.conversions import PathFacts, scan_path_to_msg
+from skinplan_nodes.conversions import PathFacts, finding_to_msg, scan_path_to_msg
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import MESHES_KEPT
-from skinplan_nodes.part_cache import PartCache
+from skinplan_nodes.part_cache import PartCache, cloud_points
 from skinplan_nodes.qos import LATCHED
 from skinplan_nodes.replies import replies_in_thread
 from skinplan_nodes.run import run_node
@@ -48,12 +48,14 @@ class ScanPathPlanner(CellNode):
         response.mesh_time = time.perf_counter() - begin
         mesh = prepared.mesh
         settings = replace(part.scan, strategy=request.strategy or part.scan.strategy)
-        path = plan_scan_path(mesh, prepared.segmentation, settings)
+        path = plan_path(prepared, settings, cloud_points(request.seen_cloud))
         planned = time.perf_counter()
-        figures = predict_coverage(mesh, prepared.segmentation, path, settings)
+        segmentation = prepared.segmentation
+        figures = predict_coverage(mesh, segmentation, path, settings, part.fixture).figures
         response.coverage_time = time.perf_counter() - planned
         facts = PathFacts(part.id, part.mesh_sha256, len(mesh.faces), mesh.area, figures)
         response.path = scan_path_to_msg(path, facts, self.now_s())
+        response.findings = [finding_to_msg(finding) for finding in prepared.findings]
         response.planning_time = time.perf_counter() - begin
         self._publisher.publish(response.path)
         self.set_health("ok", f"planned {part.id}", points=len(path), regions=path.regions)

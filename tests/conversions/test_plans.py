@@ -1,14 +1,15 @@
 """Round trips of scan path, stations and trajectories; each with its illegal twin."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
 
 from skinplan.errors import InputError, JointsInvalidError, ScanPathInvalidError
+from skinplan.mesh.model import Finding
 from skinplan.plan_record import scan_path_hash, station_hash, trajectory_hash
-from skinplan.scan_path.model import ScanPath
-from skinplan.scanner.model import CoverageFigures
+from skinplan.scan_path.model import LeftOut, ScanPath
+from skinplan.scanner.model import CoverageFigures, RegionShares
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
 from skinplan.transforms import planar
@@ -58,7 +59,9 @@ def assert_same(found, wanted):
             assert len(a) == len(b)
             for x, y in zip(a, b, strict=True):
                 assert_same(x, y)
-        else:
+        elif isinstance(b, float):
+            assert a == b or (np.isnan(a) and np.isnan(b))
+        elif field.compare:
             assert a == b
 
 
@@ -73,6 +76,29 @@ def test_scan_path_round_trip(count):
     assert (found.part_id, found.triangles, found.area_m2) == ("scene4", 100, 2.5)
     assert found.coverage.area_ratio == 0.99
     assert np.isnan(found.coverage.rows_only_feature_area_ratio)
+
+
+def test_bound_left_out_and_regions_survive_the_round_trip():
+    region = RegionShares(
+        "whole part", 2.5, 0.99, 0.9, 1.0, 0.98, 0.91, (0.1, 0.2, 0.3), (0.4, 0.5, 0.6), 0.97,
+        tuple(float(number) for number in range(8)),
+    )  # fmt: skip
+    figures = CoverageFigures(0.99, 0.9, 0.95, NAN, 3, (region,))
+    left = LeftOut(np.array([0.1, 0.2, 0.3]), "too near to the part")
+    path = replace(path_of(3), lower_bound=2, left_out=(left,))
+    msg = c.scan_path_to_msg(path, c.PathFacts(coverage=figures))
+    assert c.path_facts_from_msg(msg).coverage.regions == (region,)
+    assert c.path_facts_from_msg(msg).coverage.least_views == 3
+    found = c.scan_path_from_msg(msg)
+    assert found.lower_bound == 2
+    assert found.left_out[0].reason == left.reason
+    np.testing.assert_array_equal(found.left_out[0].target, left.target)
+
+
+@pytest.mark.parametrize("where", [(), ((0.1, 0.2, 0.3), (1.0, 2.0, 3.0))])
+def test_finding_round_trip(where):
+    finding = Finding("cracks", 3, "repaired", "welded", where)
+    assert c.finding_from_msg(c.finding_to_msg(finding)) == finding
 
 
 def test_scan_path_without_facts_has_unknown_coverage():

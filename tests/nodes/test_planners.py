@@ -7,18 +7,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+import trimesh
 from rclpy.exceptions import InvalidParameterTypeException, InvalidParameterValueException
 from skinplan_msgs import msg as messages
 from skinplan_msgs.msg import Heartbeat, Status
 from skinplan_msgs.srv import PlanScanPath, PlanStations, PlanTrajectories
 
+import meshes
 from nodes.bench import Bench
 from nodes.small_part import reference, write_small_part
 from skinplan.errors import CellInvalidError
+from skinplan.inspection.cloud import write_ply
 from skinplan.mesh.prepare import prepare_mesh
 from skinplan.part.model import Part
+from skinplan.part.resolve import resolve_part
+from skinplan.plan_record import scan_path_hash
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.plan import plan_scan_path
+from skinplan.scanner.predict import predict_coverage
+from skinplan.scanner.samples import sample_surface
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import inverse
 from skinplan_nodes.conversions import (
@@ -90,6 +97,62 @@ def test_path_is_the_library_s(bench: Bench, part: Part, path: messages.ScanPath
     latched = bench.collect(messages.ScanPath, "scan_path", LATCHED)
     bench.wait(lambda: latched)
     assert latched[-1].plan_hash == path.plan_hash
+
+
+@pytest.mark.parametrize("strategy", ["published", "coverage"])
+def test_service_and_library_have_one_hash(bench: Bench, part: Part, strategy: str) -> None:
+    request = PlanScanPath.Request(part=reference(part), strategy=strategy)
+    answer = bench.call(PlanScanPath, "plan_scan_path", request)
+    assert (answer.status.code, answer.status.message) == (Status.OK, "")
+    prepared = prepare_mesh(part)
+    settings = replace(part.scan, strategy=strategy)
+    wanted = plan_scan_path(prepared.mesh, prepared.segmentation, settings)
+    assert answer.path.strategy == strategy
+    assert answer.path.plan_hash == scan_path_hash(wanted)
+    assert answer.path.lower_bound == wanted.lower_bound
+    found = scan_path_from_msg(answer.path)
+    for name in ("positions", "directions", "targets", "kinds", "groups"):
+        np.testing.assert_array_equal(getattr(found, name), getattr(wanted, name))
+    figures = predict_coverage(
+        prepared.mesh, prepared.segmentation, wanted, settings, part.fixture
+    ).figures
+    assert answer.path.coverage.area_ratio == figures.area_ratio
+    whole = answer.path.coverage.regions[0]
+    assert whole.name == "whole part"
+    assert whole.often_seen_of_seeable_ratio == figures.regions[0].often_seen_of_seeable_ratio
+    assert whole.area == pytest.approx(prepared.mesh.area, rel=1e-6)
+
+
+def test_rescan_plans_what_a_cloud_leaves_out(
+    bench: Bench, part: Part, path: messages.ScanPath, tmp_path: Path
+) -> None:
+    mesh = prepare_mesh(part).mesh
+    points = sample_surface(mesh, 0.004).points
+    write_ply(tmp_path / "cloud.ply", points[points[:, 0] < 0.1])
+    request = PlanScanPath.Request(part=reference(part), seen_cloud=str(tmp_path / "cloud.ply"))
+    answer = bench.call(PlanScanPath, "plan_scan_path", request)
+    assert (answer.status.code, answer.path.strategy) == (Status.OK, "rescan")
+    assert 0 < len(answer.path.points) < len(path.points)
+    assert all(point.target.x > -0.1 for point in answer.path.points)
+    write_ply(tmp_path / "cloud.ply", points)
+    answer = bench.call(PlanScanPath, "plan_scan_path", request)
+    assert answer.status.code == Status.NOTHING_MISSING
+    for uri in ("cloud.ply", str(tmp_path / "none.ply"), "http://host/cloud.ply"):
+        request.seen_cloud = uri
+        answer = bench.call(PlanScanPath, "plan_scan_path", request)
+        assert answer.status.code == Status.NO_CLOUD, uri
+        assert not answer.path.points
+
+
+def test_findings_of_the_mesh_travel_with_the_path(bench: Bench, tmp_path: Path) -> None:
+    surface = meshes.grid(0.5, 0.3, 0.01)
+    twice = np.concatenate([surface.faces, surface.faces[:5]])
+    trimesh.Trimesh(surface.vertices, twice, process=False).export(tmp_path / "twice.stl")
+    part = resolve_part(str(tmp_path / "twice.stl"), "m", tmp_path)
+    answer = bench.call(PlanScanPath, "plan_scan_path", PlanScanPath.Request(part=reference(part)))
+    assert answer.status.code == Status.OK
+    found = {finding.name: finding for finding in answer.findings}
+    assert (found["duplicate faces"].count, found["duplicate faces"].action) == (5, "repaired")
 
 
 def test_stations_reach_the_points(

@@ -7,9 +7,10 @@ import numpy as np
 from skinplan_msgs import msg as messages
 
 from skinplan.errors import InputError, ScanPathInvalidError
+from skinplan.mesh.model import Finding
 from skinplan.plan_record import scan_path_hash
-from skinplan.scan_path.model import FEATURE, ROW, ScanPath
-from skinplan.scanner.model import Coverage, CoverageFigures
+from skinplan.scan_path.model import FEATURE, ROW, LeftOut, ScanPath
+from skinplan.scanner.model import CoverageFigures, RegionShares
 from skinplan.transforms import Array
 from skinplan_nodes.conversions.geometry import (
     header_to_msg,
@@ -20,6 +21,18 @@ from skinplan_nodes.conversions.geometry import (
 
 _UNIT_TOLERANCE = 1e-3
 _UNKNOWN = float("nan")
+_ANGLES = ("median", "p95", "largest")
+#: Fields of RegionCoverage in the order of `Sight`.
+_AREAS = (
+    "area_seen_often",
+    "area_seen",
+    "area_cannot_be_seen",
+    "area_too_oblique",
+    "area_out_of_range",
+    "area_hidden_by_part",
+    "area_hidden_by_fixture",
+    "area_not_reached",
+)
 NO_FIGURES = CoverageFigures(_UNKNOWN, _UNKNOWN, _UNKNOWN, _UNKNOWN)
 
 
@@ -42,13 +55,15 @@ class PathFacts:
     coverage: CoverageFigures = field(default=NO_FIGURES)
 
 
-def coverage_figures_to_msg(figures: CoverageFigures | Coverage) -> messages.CoverageFigures:
+def coverage_figures_to_msg(figures: CoverageFigures) -> messages.CoverageFigures:
     """Converts predicted coverage."""
     return messages.CoverageFigures(
         area_ratio=figures.area_ratio,
         feature_area_ratio=figures.feature_area_ratio,
         rows_only_area_ratio=figures.rows_only_area_ratio,
         rows_only_feature_area_ratio=figures.rows_only_feature_area_ratio,
+        least_views=figures.least_views,
+        regions=[_region_to_msg(region) for region in figures.regions],
     )
 
 
@@ -59,7 +74,65 @@ def coverage_figures_from_msg(msg: messages.CoverageFigures) -> CoverageFigures:
         msg.feature_area_ratio,
         msg.rows_only_area_ratio,
         msg.rows_only_feature_area_ratio,
+        msg.least_views,
+        tuple(_region_from_msg(region) for region in msg.regions),
     )
+
+
+def _region_to_msg(region: RegionShares) -> messages.RegionCoverage:
+    msg = messages.RegionCoverage(
+        name=region.name,
+        area=region.area_m2,
+        seen_ratio=region.seen_ratio,
+        often_seen_ratio=region.often_seen_ratio,
+        seeable_ratio=region.seeable_ratio,
+        seen_of_seeable_ratio=region.seen_of_seeable_ratio,
+        often_seen_of_seeable_ratio=region.often_seen_of_seeable_ratio,
+        ray_within_limit_ratio=region.ray_within_limit_ratio,
+    )
+    for kind, angles in (("axis", region.axis_rad), ("ray", region.ray_rad)):
+        for name, angle in zip(_ANGLES, angles, strict=True):
+            setattr(msg, f"{kind}_incidence_{name}", angle)
+    for name, area in zip(_AREAS, region.areas_m2, strict=True):
+        setattr(msg, name, area)
+    return msg
+
+
+def _region_from_msg(msg: messages.RegionCoverage) -> RegionShares:
+    return RegionShares(
+        name=msg.name,
+        area_m2=msg.area,
+        seen_ratio=msg.seen_ratio,
+        often_seen_ratio=msg.often_seen_ratio,
+        seeable_ratio=msg.seeable_ratio,
+        seen_of_seeable_ratio=msg.seen_of_seeable_ratio,
+        often_seen_of_seeable_ratio=msg.often_seen_of_seeable_ratio,
+        axis_rad=(
+            msg.axis_incidence_median,
+            msg.axis_incidence_p95,
+            msg.axis_incidence_largest,
+        ),
+        ray_rad=(msg.ray_incidence_median, msg.ray_incidence_p95, msg.ray_incidence_largest),
+        ray_within_limit_ratio=msg.ray_within_limit_ratio,
+        areas_m2=tuple(getattr(msg, name) for name in _AREAS),
+    )
+
+
+def finding_to_msg(finding: Finding) -> messages.MeshFinding:
+    """Converts what the mesh doctor found."""
+    return messages.MeshFinding(
+        name=finding.name,
+        count=finding.count,
+        action=finding.action,
+        detail=finding.detail,
+        where=[point_to_msg(np.array(place)) for place in finding.where],
+    )
+
+
+def finding_from_msg(msg: messages.MeshFinding) -> Finding:
+    """Returns what the mesh doctor found."""
+    where = tuple((place.x, place.y, place.z) for place in msg.where)
+    return Finding(msg.name, msg.count, msg.action, msg.detail, where)
 
 
 def scan_path_to_msg(
@@ -86,6 +159,11 @@ def scan_path_to_msg(
         regions=path.regions,
         triangles=known.triangles,
         area=known.area_m2,
+        lower_bound=path.lower_bound,
+        left_out=[
+            messages.LeftOutTarget(target=point_to_msg(left.target), reason=left.reason)
+            for left in path.left_out
+        ],
         coverage=coverage_figures_to_msg(known.coverage),
         plan_hash=scan_path_hash(path),
     )
@@ -110,6 +188,11 @@ def scan_path_from_msg(msg: messages.ScanPath) -> ScanPath:
         groups=np.array([p.group for p in msg.points], dtype=np.int64),
         strategy=msg.strategy,
         regions=msg.regions,
+        lower_bound=msg.lower_bound,
+        left_out=tuple(
+            LeftOut(np.array([left.target.x, left.target.y, left.target.z]), left.reason)
+            for left in msg.left_out
+        ),
     )
     if msg.plan_hash and scan_path_hash(path) != msg.plan_hash:
         raise ScanPathInvalidError(

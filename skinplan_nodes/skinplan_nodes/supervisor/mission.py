@@ -120,7 +120,7 @@ class Mission:
         planned, stages = self.cell.plan_path(self.job)
         self.data.planned = planned
         self.data.planning_s.update(stages)
-        self.folder.write_plan(path=planned.path)
+        self.folder.write_plan(path=planned.path, coverage=planned.coverage)
         self.folder.note(f"scan path of {len(planned.path)} points")
         return planned
 

@@ -10,6 +10,7 @@ from skinplan.errors import JobInvalidError
 from skinplan.plan_record import write_json, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
 from skinplan.scan_path.model import ScanPath
+from skinplan.scanner.model import CoverageFigures
 from skinplan.stations.model import StationPlan
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import Array
@@ -81,6 +82,7 @@ class RunFolder:
         station_plan: StationPlan | None = None,
         trajectories: Sequence[StationTrajectory] | None = None,
         T_map_workpiece: Array | None = None,
+        coverage: CoverageFigures | None = None,
     ) -> None:
         """Writes what of the plan is given to ``plan/``; the part's place with the stations."""
         write_plan_files(
@@ -90,6 +92,7 @@ class RunFolder:
             trajectories,
             JOINT_NAMES,
             T_map_workpiece,
+            coverage,
         )
 
     def finish(self, summary: Mapping[str, Any]) -> None:
