@@ -98,7 +98,9 @@ class Plan:
         )
         if self.prediction is not None:
             certificate = self.prediction.path
-            write_json(folder / "coverage.json", coverage_document(certificate))
+            motion = coverage_document(self.prediction.motion, with_facets=False)
+            document = {**coverage_document(certificate), "along_motion": motion}
+            write_json(folder / "coverage.json", document)
             write_coverage_ply(folder / "coverage.ply", self.prepared.mesh, certificate)
 
 

@@ -266,7 +266,10 @@ def test_plan_writes_the_certificate_as_data_and_as_coloured_mesh(tmp_path):
     assert result.exit_code == 0, result.stderr
     certificate = json.loads((folder / "coverage.json").read_text())
     assert certificate["regions"][0]["name"] == "whole part"
-    assert certificate["regions"][0]["often_seen_of_seeable_ratio"] > 0.99
+    points, motion = certificate["regions"][0], certificate["along_motion"]["regions"][0]
+    assert points["often_seen_of_seeable_ratio"] > 0.99
+    assert motion["often_seen_ratio"] >= points["often_seen_ratio"]
+    assert motion["incidence_axis"]["median_rad"] <= points["incidence_axis"]["median_rad"] + 1e-9
     coloured = trimesh.load(folder / "coverage.ply", process=False)
     assert len(coloured.visual.face_colors) == len(coloured.faces)
     assert not (folder / "stations.json").exists()

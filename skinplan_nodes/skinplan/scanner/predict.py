@@ -20,10 +20,12 @@ class Prediction:
     Attributes:
         path: Certificate of the scan path.
         row_cutting: Certificate of row cutting over the whole part.
+        motion: Certificate of the scan path with the motion between the points of each row.
     """
 
     path: Coverage
     row_cutting: Coverage
+    motion: Coverage
 
     @cached_property
     def figures(self) -> CoverageFigures:
@@ -48,14 +50,14 @@ def predict_coverage(
         fixture: The fixture, which may hide the part; None = the part alone.
 
     Returns:
-        Both certificates.
+        The certificates.
 
     Raises:
         ScanPathInvalidError: The path is not finite.
     """
     certifier = part_certifier(mesh, segmentation, settings, fixture)
     rows = rows_only_path(mesh, segmentation, settings)
-    return Prediction(certifier.points(path), certifier.points(rows))
+    return Prediction(certifier.points(path), certifier.points(rows), certifier.motion(path))
 
 
 def part_certifier(
