@@ -50,7 +50,9 @@ def test_every_key_can_be_written_and_read_back(tmp_path):
         return list(value) if isinstance(value, tuple) else value
 
     file = tmp_path / "cell.yaml"
-    file.write_text(yaml.safe_dump(plain(CellConfig())))
+    values = plain(CellConfig())
+    del values["propose_tracker"]  # said by a T_map_tracker of null
+    file.write_text(yaml.safe_dump(values))
     again = plain(load_cell(file))
     assert again.keys() == plain(CellConfig()).keys()
     assert np.allclose(
@@ -96,3 +98,44 @@ def test_a_missing_or_huge_or_binary_file_is_refused(tmp_path):
     binary.write_bytes(b"\xff\xfe\x00\x80")
     with pytest.raises(CellInvalidError, match="YAML"):
         load_cell(binary)
+
+
+def written(tmp_path, values):
+    file = tmp_path / "cell.yaml"
+    file.write_text(yaml.safe_dump(values))
+    return file
+
+
+def test_tracker_and_obstacles_are_read(tmp_path):
+    wall = {"name": "wall", "size_m": [4, 0.2, 3], "T_map_box": {"translation_m": [0, 2, 1.5]}}
+    values = {"tracker": {"range_max_m": 4.0, "targets_least": 5}, "obstacles": [wall]}
+    cell = load_cell(written(tmp_path, values))
+    assert cell.tracker.range_max_m == 4.0 and cell.tracker.targets_least == 5
+    assert cell.tracker.cone_rad == CellConfig().tracker.cone_rad
+    assert cell.obstacles[0].name == "wall" and cell.obstacles[0].size_m == (4.0, 0.2, 3.0)
+    assert np.allclose(cell.obstacles[0].T_map_box[:3, 3], (0.0, 2.0, 1.5))
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"tracker": {"range_min_m": 5.0, "range_max_m": 2.0}},
+        {"tracker": {"targets": 4, "targets_least": 5}},
+        {"tracker": {"cone_deg": 50}},
+        {"tracker": {"targets": 2.5}},
+        {"obstacles": {"name": "wall"}},
+        {"obstacles": [{"name": "wall", "size_m": [1, 0, 1], "T_map_box": {}}]},
+        {"obstacles": [{"size_m": [1, 1, 1]}]},
+        {"obstacles": [{"name": "wall", "colour": "red"}]},
+    ],
+)
+def test_a_tracker_or_obstacle_that_can_not_be_is_refused(tmp_path, values):
+    with pytest.raises(CellInvalidError, match="accepted"):
+        load_cell(written(tmp_path, values))
+
+
+def test_a_tracker_without_place_is_to_be_proposed(tmp_path):
+    assert load_cell(written(tmp_path, {"T_map_tracker": None})).propose_tracker
+    assert not load_cell(written(tmp_path, {})).propose_tracker
+    with pytest.raises(CellInvalidError, match="accepted"):
+        load_cell(written(tmp_path, {"propose_tracker": True}))

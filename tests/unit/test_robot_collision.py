@@ -37,17 +37,18 @@ def test_home_is_free_beside_the_part(distance, heading):
 def test_the_filter_never_decides_otherwise_than_the_exact_check():
     world = world_at(0.6)
     q = poses(400)
-    segments = world._segments(q)
-    decided = world._check_part(world._mesh, segments) > 0
+    segments = world.bodies.segments(q)
+    in_part = apply(world._T_part_arm, segments.reshape(-1, 3)).reshape(segments.shape)
+    decided = world._part_check.part_hits(in_part).any(axis=1)
     for row, found in zip(segments, decided, strict=True):
         ends = apply(world._T_part_arm, row.reshape(-1, 3)).reshape(-1, 2, 3)
         exact = any(
             touches(world._mesh, b, e, CELL.collision_margin_m)
-            for b, e in zip(world._bodies, ends, strict=True)
+            for b, e in zip(world.bodies.items, ends, strict=True)
         )
         assert exact == found
     assert 0.02 < decided.mean() < 0.98
-    assert world.exact_checks < 0.2 * len(q) * len(world._bodies)
+    assert world.exact_checks < 0.2 * len(q) * len(world.bodies)
 
 
 def test_whatever_is_free_is_free_for_pinocchio_and_coal_too():
@@ -93,23 +94,21 @@ def test_the_floor_the_base_and_the_arm_itself_are_in_the_way():
 
 def test_the_space_behind_the_part_is_forbidden():
     world = world_at(0.6)
-    behind = transform((0.0, 0.0, -0.5 * FIXTURE_DEPTH_M))
-    place = (world._T_arm_part @ behind)[:3, 3]
-    ends = np.tile(place, (len(world._bodies), 2, 1))[None]
-    assert np.all(world._check_fixture(ends) > 0)
-    in_front = (world._T_arm_part @ transform((0.0, 0.0, 0.3)))[:3, 3]
-    ends = np.tile(in_front, (len(world._bodies), 2, 1))[None]
-    assert np.all(world._check_fixture(ends) == 0)
+    behind, in_front = (0.0, 0.0, -0.5 * FIXTURE_DEPTH_M), (0.0, 0.0, 0.3)
+    ends = np.tile(behind, (len(world.bodies), 2, 1))[None]
+    assert np.all(world._part_check.fixture_hits(ends))
+    ends = np.tile(in_front, (len(world.bodies), 2, 1))[None]
+    assert not np.any(world._part_check.fixture_hits(ends))
 
 
 def test_no_motion_slips_through_the_skin():
     """Even the thinnest body moves less between two checks than it is thick, with its margin."""
     world = world_at(0.6)
     q = world.between(HOME, HOME + np.array([1.5, 1.0, -1.2, 0.4, 0.7, 0.0]))
-    ends = world._segments(q)
+    ends = world.bodies.segments(q)
     step = np.linalg.norm(np.diff(ends, axis=0), axis=3).max()
     assert step < 2.0 * CELL.collision_margin_m
-    assert step < 2.0 * world._radii.min()
+    assert step < 2.0 * world.bodies.radii.min()
     assert np.allclose(q[0], HOME) and np.allclose(q[-1], HOME + [1.5, 1.0, -1.2, 0.4, 0.7, 0.0])
 
 
@@ -154,9 +153,9 @@ def test_batches_of_any_size_and_bad_ones():
 def test_home_keeps_the_camera_view_free():
     """No body stands in the picture nearer than the part could be."""
     world = CollisionWorld(CELL, None)
-    segments = world._segments(HOME[None])[0]
+    segments = world.bodies.segments(HOME[None])[0]
     camera = CELL.camera
-    for (first, second), radius in zip(segments, world._radii, strict=True):
+    for (first, second), radius in zip(segments, world.bodies.radii, strict=True):
         line = first + np.linspace(0, 1, 20)[:, None] * (second - first)
         seen = apply(inverse(camera.T_base_link_optical) @ CELL.T_base_link_arm_base, line)
         ahead = seen[seen[:, 2] > 0.05]

@@ -112,6 +112,11 @@ class ArmModel:
         )
 
     @property
+    def axes(self) -> Array:
+        """Unit axis of each joint in its own frame, shape (6, 3)."""
+        return self._axes
+
+    @property
     def first_axis(self) -> Array:
         """Origin of the first joint in the arm base, shape (3,) [m]."""
         return np.asarray(self._placements[0][:3, 3])
@@ -159,12 +164,7 @@ class ArmModel:
             raise RobotModelError(
                 f"finite flange poses of shape (n, 4, 4) are accepted, found shape {poses.shape}"
             )
-        branches = np.full((len(poses), _BRANCHES, 6), np.nan)
-        asked = poses.copy()
-        asked[:, :3, :3] = poses[:, :3, :3] @ self._zero_rotation.T
-        for number, answer in enumerate(self._solver.IK_batched(asked, 1) if len(poses) else ()):
-            exact = np.asarray(answer.Q)[~np.asarray(answer.is_LS, dtype=bool)][:_BRANCHES]
-            branches[number, : len(exact)] = exact
+        branches = self.unchecked_inverse(poses)
         found = np.isfinite(branches[:, :, 0])
         row, column = np.nonzero(found)
         reached = self.forward(branches[row, column])
@@ -173,6 +173,25 @@ class ArmModel:
         valid[row, column] = error < _AGREEMENT
         branches[~valid] = np.nan
         return branches, valid
+
+    def unchecked_inverse(self, T_arm_base_tool0: Array) -> Array:
+        """Returns all branches as the solver gives them, shape (n, 8, 6) [rad], NaN where none.
+
+        For those who check what they choose; `inverse` checks all.
+        """
+        branches = np.full((len(T_arm_base_tool0), _BRANCHES, 6), np.nan)
+        if not len(branches):
+            return branches
+        asked = T_arm_base_tool0.copy()
+        asked[:, :3, :3] = T_arm_base_tool0[:, :3, :3] @ self._zero_rotation.T
+        answers = self._solver.IK_batched(asked, 1)
+        sizes = np.array([answer.num_solutions() for answer in answers])
+        exact = ~np.concatenate([answer.is_LS for answer in answers]).astype(bool)
+        row = np.repeat(np.arange(len(branches)), sizes)
+        column = np.arange(len(row)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
+        kept = np.flatnonzero(exact & (column < _BRANCHES))
+        branches[row[kept], column[kept]] = np.concatenate([answer.Q for answer in answers])[kept]
+        return branches
 
     def require_joints(self, q: Array) -> Array:
         """Returns joint positions as array of shape (n, 6) [rad], or says why they are none.

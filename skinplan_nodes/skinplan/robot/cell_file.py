@@ -8,8 +8,12 @@ Transforms are ``{translation_m: [x, y, z], rotation_xyzw: [x, y, z, w]}``.
     robot: ur5
     home_rad: [1.4, -2.4, 2.1, 0.3, 1.4, -1.5707963]
     T_base_link_arm_base: {translation_m: [0, 0, 1.0]}
+    T_map_tracker: null  # not given: planning stations proposes a place
     camera: {width: 1280, height: 720, K: [915, 0, 640, 0, 915, 360, 0, 0, 1], D: [0, 0, 0, 0, 0]}
     quality: {alpha: 0.5, threshold: 0.85}
+    tracker: {range_min_m: 1.0, range_max_m: 6.0, cone_rad: 0.87, targets: 8, targets_least: 3}
+    obstacles:
+      - {name: wall, size_m: [4.0, 0.2, 3.0], T_map_box: {translation_m: [0, 2.0, 1.5]}}
 """
 
 from dataclasses import fields as members
@@ -21,7 +25,13 @@ import yaml
 
 from skinplan.errors import CellInvalidError, PartInvalidError
 from skinplan.part.fields import Fields
-from skinplan.robot.cell_model import CameraConfig, CellConfig, QualitySettings
+from skinplan.robot.cell_model import (
+    CameraConfig,
+    CellConfig,
+    Obstacle,
+    QualitySettings,
+    TrackerSettings,
+)
 
 _LARGEST_FILE_BYTES = 1_000_000
 # Accepted ranges: key -> lower, upper, in words.
@@ -41,6 +51,14 @@ _QUALITY = {
     "distance_max_m": (0.05, 50.0, "a number in [0.05, 50] [m]"),
     "threshold": (0.0, 1.0, "a number in [0, 1]"),
 }
+_TRACKER = {
+    "range_min_m": (0.0, 50.0, "a number in [0, 50] [m]"),
+    "range_max_m": (0.1, 100.0, "a number in [0.1, 100] [m]"),
+    "cone_rad": (0.01, 3.2, "half an angle in [0.01, 3.2] [rad]"),
+    "ring_radius_m": (0.0, 1.0, "a number in [0, 1] [m]"),
+}
+_MOST_OBSTACLES = 100
+_KEYS = [m.name for m in members(CellConfig) if m.name != "propose_tracker"]
 _POSES = ("T_base_link_arm_base", "T_tool0_scanner", "T_map_tracker", "T_map_work")
 
 
@@ -60,7 +78,7 @@ def load_cell(path: Path | str | None = None) -> CellConfig:
         return CellConfig()
     file = Path(path)
     try:
-        return _read(Fields(_read_yaml(file), "", file.name, [m.name for m in members(CellConfig)]))
+        return _read(Fields(_read_yaml(file), "", file.name, _KEYS))
     except PartInvalidError as error:  # the reader of part files is used for the keys
         raise CellInvalidError(str(error)) from error
 
@@ -83,7 +101,9 @@ def _read(fields: Fields) -> CellConfig:
     values: dict[str, Any] = {
         key: fields.number(key, *_NUMBERS[key]) for key in _NUMBERS if fields.has(key)
     }
-    values |= {key: fields.pose(key) for key in _POSES if fields.has(key)}
+    values["propose_tracker"] = fields.values.get("T_map_tracker", "") is None
+    poses = [key for key in _POSES if key != "T_map_tracker" or not values["propose_tracker"]]
+    values |= {key: fields.pose(key) for key in poses if fields.has(key)}
     if fields.has("robot"):
         values["robot"] = fields.text("robot", "the name of an arm model")
     if fields.has("home_rad"):
@@ -99,7 +119,46 @@ def _read(fields: Fields) -> CellConfig:
         values["camera"] = _read_camera(fields)
     if fields.has("quality"):
         values["quality"] = _read_quality(fields)
+    if fields.has("tracker"):
+        values["tracker"] = _read_tracker(fields)
+    if fields.has("obstacles"):
+        values["obstacles"] = _read_obstacles(fields)
     return CellConfig(**values)
+
+
+def _read_tracker(fields: Fields) -> TrackerSettings:
+    names = [m.name for m in members(TrackerSettings)]
+    inner = Fields(fields.values["tracker"], "tracker", fields.source, names)
+    values: dict[str, Any] = {
+        key: inner.number(key, *_TRACKER[key]) for key in _TRACKER if inner.has(key)
+    }
+    values |= {
+        key: inner.integer(key, 1, 64) for key in ("targets", "targets_least") if inner.has(key)
+    }
+    tracker = TrackerSettings(**values)
+    if tracker.range_min_m >= tracker.range_max_m:
+        found = f"{tracker.range_min_m} and range_max_m {tracker.range_max_m}"
+        raise inner.error("range_min_m", found, "range_min_m below range_max_m")
+    if tracker.targets_least > tracker.targets:
+        found = f"{tracker.targets_least} of {tracker.targets} targets"
+        raise inner.error("targets_least", found, "no more than there are targets")
+    return tracker
+
+
+def _read_obstacles(fields: Fields) -> tuple[Obstacle, ...]:
+    given = fields.values["obstacles"]
+    if not isinstance(given, list) or len(given) > _MOST_OBSTACLES:
+        raise fields.error("obstacles", str(given)[:80], f"a list of at most {_MOST_OBSTACLES}")
+    names = [m.name for m in members(Obstacle)]
+    result = []
+    for number, values in enumerate(given):
+        inner = Fields(values, f"obstacles[{number}]", fields.source, names)
+        size = inner.vector("size_m", 3, "three extents [m]")
+        if np.any(size <= 0.0) or np.any(size > 100.0):
+            raise inner.error("size_m", str(size.tolist()), "three numbers in (0, 100] [m]")
+        name = inner.text("name", "what the obstacle is")
+        result.append(Obstacle(name, inner.pose("T_map_box"), tuple(size.tolist())))
+    return tuple(result)
 
 
 def _read_camera(fields: Fields) -> CameraConfig:

@@ -70,6 +70,45 @@ class QualitySettings:
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """Something that stands in the cell: a box that nothing may touch or look through.
+
+    Attributes:
+        name: What it is, for messages.
+        T_map_box: Its middle in the shop, shape (4, 4) [m].
+        size_m: Its extents along its own axes [m].
+    """
+
+    name: str
+    T_map_box: Array
+    size_m: tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class TrackerSettings:
+    """What the tracker needs to follow the scanner (M1.1, C-Track).
+
+    The scanner carries targets on a ring about its view axis, through its origin: the tracker knows
+    the scanner's pose while it sees enough of them. Range and cone are assumed figures.
+
+    Attributes:
+        range_min_m: Nearest distance of the scanner [m].
+        range_max_m: Farthest distance of the scanner [m].
+        cone_rad: Half angle of the cone of view about +x of the tracker [rad].
+        targets: Number of targets on the ring, evenly spaced.
+        ring_radius_m: Radius of the ring [m].
+        targets_least: So many of them must be seen.
+    """
+
+    range_min_m: float = 1.0
+    range_max_m: float = 6.0
+    cone_rad: float = 0.87
+    targets: int = 8
+    ring_radius_m: float = 0.10
+    targets_least: int = 3
+
+
+@dataclass(frozen=True)
 class CellConfig:
     """One work cell.
 
@@ -90,7 +129,10 @@ class CellConfig:
         base_error_rad: ... and at most so much turned [rad].
         collision_margin_m: Distance kept between arm, scanner, base and part [m].
         T_map_tracker: Tracker in the shop, shape (4, 4) [m]; +x is its view direction.
+        propose_tracker: Its place is not given: planning stations proposes one.
         T_map_work: Where the base drives to look for the part, shape (4, 4) [m].
+        tracker: What the tracker sees.
+        obstacles: What else stands in the shop.
         camera: The localisation camera.
         quality: Eq (3) and the approach-retry loop.
         settle_s: Time a station costs before scanning: settling and localisation [s].
@@ -111,6 +153,9 @@ class CellConfig:
     base_error_rad: float = 0.017453292519943295
     collision_margin_m: float = 0.02
     T_map_tracker: Array = field(default_factory=lambda: transform((0.0, -3.5, 2.2), _TURN_LEFT))
+    propose_tracker: bool = False
+    tracker: TrackerSettings = field(default_factory=TrackerSettings)
+    obstacles: tuple[Obstacle, ...] = ()
     T_map_work: Array = field(default_factory=lambda: planar(-0.3, -2.2, 0.25))
     camera: CameraConfig = field(default_factory=CameraConfig)
     quality: QualitySettings = field(default_factory=QualitySettings)

@@ -30,10 +30,13 @@ class DistanceField:
     Attributes:
         error: Largest error of `distance` up to `reach` [m].
         reach: Distances beyond this are only known to be at least this [m].
+        samples: Points on the mesh, shape (m, 3) [m].
+        spacing: No point of the mesh is farther from the nearest sample than this [m].
     """
 
     def __init__(self, mesh: SurfaceMesh) -> None:
         samples, delta = _samples(mesh)
+        self.samples, self.spacing = samples, delta
         self._low, self._high = mesh.bounds[0], mesh.bounds[1]
         extent = self._high - self._low + 2.0 * _REACH_M
         self._step = max(_GRID_M, float((np.prod(extent) / _MAX_NODES) ** (1.0 / 3.0)))

@@ -1,6 +1,7 @@
 """The part and the arm's capsules as shapes of coal, for exact checks."""
 
 from functools import lru_cache
+from math import sqrt
 
 import coal
 import numpy as np
@@ -46,10 +47,18 @@ def coal_capsule(body: Body) -> coal.ShapeBase:
 
 def turn_z_to(axis: Array) -> Array:
     """A rotation whose z axis points along the argument, shape (3, 3); any for zero length."""
-    length = float(np.linalg.norm(axis))
+    x, y, z = (float(value) for value in axis)
+    length = sqrt(x * x + y * y + z * z)
     if length < 1e-9:
         return np.eye(3)
-    z = axis / length
-    x = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
-    x /= np.linalg.norm(x)
-    return np.stack([x, np.cross(z, x), z], axis=1)
+    x, y, z = x / length, y / length, z / length
+    # Plain numbers: this is called once for every exact check. Across z and the nearer of x and y.
+    if abs(x) < abs(y):
+        size = sqrt(y * y + z * z)
+        first = (0.0, z / size, -y / size)
+    else:
+        size = sqrt(x * x + z * z)
+        first = (z / size, 0.0, -x / size)
+    a, b, c = first
+    second = (y * c - z * b, z * a - x * c, x * b - y * a)
+    return np.array([[a, second[0], x], [b, second[1], y], [c, second[2], z]])

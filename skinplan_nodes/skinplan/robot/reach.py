@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.robot.arm import ArmModel
+from skinplan.robot.branches import wound
 from skinplan.robot.collision import CollisionWorld
 from skinplan.robot.scanner_pose import mean_direction, tilted, tool_poses
 from skinplan.transforms import Array, apply, rotate
@@ -160,7 +161,7 @@ def _reach(
     )
     row, column = np.nonzero(valid)
     view = picked[row]
-    q = nearest_winding(branches[row, column], home)
+    q = wound(branches[row, column], home, arm.lower, arm.upper)
     inside = arm.within_limits(q)
     pairs = world.pairs(q[inside])
     free = np.zeros(len(q), dtype=bool)
