@@ -12,6 +12,7 @@ import typer
 
 from skinplan import console
 from skinplan.cell_run import CellRun, RunRequest
+from skinplan.contact.command import contact
 from skinplan.errors import InputError, MeshError, PartNotFoundError
 from skinplan.inspection.gaps import seen_points
 from skinplan.inspection.report import write_report
@@ -37,6 +38,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     help="Plans and runs the 3-D measurement of large skins with a mobile manipulator.",
 )
+app.command()(contact)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
 

@@ -13,6 +13,7 @@ from typing import Any, TypeVar
 from skinplan.errors import CancelledError, InputError, SkinplanError, StageError
 from skinplan.inspection.gaps import missing_samples
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
+from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Part, ScanSettings
 from skinplan.plan_record import planning_summary, write_json, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
@@ -205,7 +206,7 @@ def plan_part(
     scan = part.scan
     prepared = stages.run("mesh", lambda: prepare_mesh(part))
     mesh, segmentation = prepared.mesh, prepared.segmentation
-    path = stages.run("scan_path", lambda: plan_path(prepared, scan, seen))
+    path = stages.run("scan_path", lambda: plan_path(prepared, scan, seen, part.points))
     planned = Plan(part, prepared, path, stages.planning_s)
     if "coverage" not in wanted:
         return planned
@@ -241,7 +242,12 @@ def plan_part(
     return replace(planned, trajectories=trajectories, cycle=cycle)
 
 
-def plan_path(prepared: PreparedMesh, scan: ScanSettings, seen: Array | None = None) -> ScanPath:
+def plan_path(
+    prepared: PreparedMesh,
+    scan: ScanSettings,
+    seen: Array | None = None,
+    points: InspectionPoints | None = None,
+) -> ScanPath:
     """Plans the scan path of a part, or of what a run has left out.
 
     Args:
@@ -249,6 +255,7 @@ def plan_path(prepared: PreparedMesh, scan: ScanSettings, seen: Array | None = N
         scan: Scan settings.
         seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]; None = the whole
             part is planned.
+        points: The part's measuring points, for strategy ``points``; None = it has none.
 
     Raises:
         NothingMissingError: The run left nothing out.
@@ -256,6 +263,6 @@ def plan_path(prepared: PreparedMesh, scan: ScanSettings, seen: Array | None = N
     """
     chosen("scan path", scan.strategy, SCAN_PATH_STRATEGIES)
     if seen is None:
-        return plan_scan_path(prepared.mesh, prepared.segmentation, scan)
+        return plan_scan_path(prepared.mesh, prepared.segmentation, scan, points)
     missing = missing_samples(prepared.mesh, seen)
     return rescan_path(prepared.mesh, prepared.segmentation, scan, missing)

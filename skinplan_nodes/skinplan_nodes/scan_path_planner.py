@@ -48,7 +48,8 @@ class ScanPathPlanner(CellNode):
         response.mesh_time = time.perf_counter() - begin
         mesh = prepared.mesh
         settings = replace(part.scan, strategy=request.strategy or part.scan.strategy)
-        path = plan_path(prepared, settings, cloud_points(request.seen_cloud))
+        seen = cloud_points(request.seen_cloud)
+        path = plan_path(prepared, settings, seen, part.points)
         planned = time.perf_counter()
         segmentation = prepared.segmentation
         figures = predict_coverage(mesh, segmentation, path, settings, part.fixture).figures

@@ -10,6 +10,8 @@ Units are in the keys; unknown keys are refused.
           absolute
       unit: m                        # required; m, cm, mm or inch
       sha256: 0123...                # hash of the mesh file's bytes; checked when given
+    points: points.csv               # left out: none; CSV, see skinplan.part.points_file; relative
+        to the part file, or absolute
     fixture:                         # left out: a row of markers below the part
         (skinplan.part.defaults)
       dictionary: DICT_5X5_100       # required; ArUco dictionary as OpenCV names it
@@ -39,9 +41,12 @@ import yaml
 from skinplan.errors import MeshHashError, PartInvalidError, PartNotFoundError
 from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import UNITS_M, file_sha256, load_mesh
+from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.fields import Fields, pose_fields
+from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Fixture, Marker, Part, ScanSettings
+from skinplan.part.points_file import read_points, write_points
 from skinplan.part.settings import read_settings, settings_fields
 from skinplan.transforms import Array, transform
 
@@ -59,6 +64,7 @@ MARKER_COUNTS = {
     "DICT_ARUCO_MIP_36h12": 250,
 }
 _ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan")
 _LARGEST_FILE_BYTES = 1_000_000
 
 
@@ -70,22 +76,26 @@ def load_part(path: Path | str) -> Part:
 
     Returns:
         The part; its mesh exists and has the stated hash, but is not loaded unless fixture or
-        placement need its box.
+        placement need its box, or measuring points have to be on it.
 
     Raises:
         PartNotFoundError: No such file.
         PartInvalidError: A key is unknown or missing, or a value is out of range.
+        InspectionPointsError: The measuring points can't be used.
         MeshError: The mesh is missing, can't be read, or has another hash.
     """
     file = Path(path)
-    fields = Fields(_read_yaml(file), "", file.name, ("id", "mesh", "fixture", "placement", "scan"))
+    fields = Fields(_read_yaml(file), "", file.name, _KEYS)
     part_id = fields.text("id")
     if not _ID.fullmatch(part_id):
         raise fields.error("id", repr(part_id), "1 to 64 letters, digits, '_', '.' or '-'")
     mesh_path, unit, digest = _read_mesh(fields, file.parent)
-    bounds = None
-    if not (fields.has("fixture") and fields.has("placement")):
-        bounds = check_mesh(load_mesh(mesh_path, unit))[0].bounds
+    placed = fields.has("fixture") and fields.has("placement")
+    bounds, points = None, None
+    if fields.has("points") or not placed:
+        mesh = load_mesh(mesh_path, unit)
+        points = _read_points(fields, file.parent, unit, mesh)
+        bounds = None if placed else check_mesh(mesh)[0].bounds
     return Part(
         id=part_id,
         mesh_path=mesh_path,
@@ -99,6 +109,7 @@ def load_part(path: Path | str) -> Part:
         if fields.has("scan")
         else ScanSettings(),
         source=file.resolve(),
+        points=points,
     )
 
 
@@ -108,7 +119,7 @@ def save_part(part: Part, path: Path | str) -> Path:
     Args:
         part: What to write.
         path: The YAML file; its folder must exist. A mesh in the same folder is named relative to
-            it.
+            it. Measuring points go into a file beside it, ``points.csv`` beside ``part.yaml``.
 
     Returns:
         The absolute path.
@@ -125,6 +136,7 @@ def save_part(part: Part, path: Path | str) -> Path:
             "unit": part.unit,
             "sha256": part.mesh_sha256,
         },
+        **({} if part.points is None else {"points": _points_file(file).name}),
         "fixture": {
             "dictionary": part.fixture.dictionary,
             "pose_in_workpiece": pose_fields(part.fixture.T_workpiece_fixture),
@@ -141,6 +153,8 @@ def save_part(part: Part, path: Path | str) -> Path:
         "scan": settings_fields(part.scan),
     }
     try:
+        if part.points is not None:
+            write_points(part.points, _points_file(file), part.unit)
         file.write_text(
             yaml.safe_dump(values, sort_keys=False, default_flow_style=None), encoding="utf-8"
         )
@@ -149,6 +163,22 @@ def save_part(part: Part, path: Path | str) -> Path:
             f"the part file {file} can't be written: {error.strerror}"
         ) from error
     return file
+
+
+def _points_file(file: Path) -> Path:
+    return file.with_name("points.csv" if file.stem == "part" else f"{file.stem}.points.csv")
+
+
+def _read_points(
+    fields: Fields, folder: Path, unit: str, mesh: SurfaceMesh
+) -> InspectionPoints | None:
+    if not fields.has("points"):
+        return None
+    accepted = "the path of a CSV file with measuring points"
+    name = fields.text("points", accepted)
+    if "\0" in name:
+        raise fields.error("points", repr(name), accepted)
+    return read_points((folder / name).resolve(), unit, mesh)
 
 
 def _read_yaml(file: Path) -> object:

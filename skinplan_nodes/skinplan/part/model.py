@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from skinplan.part.inspection_points import InspectionPoints
 from skinplan.transforms import Array
 
 
@@ -74,7 +75,7 @@ class ScanSettings:
     """
 
     strategy: str = "coverage"
-    station_strategy: str = "rectangles"
+    station_strategy: str = "reach"
     order_strategy: str = "published"
     sensitivity: float = 2.0
     overlap_ratio: float = 0.6
@@ -112,6 +113,7 @@ class Part:
             where it stands.
         scan: Scan settings.
         source: The part file that it came from; None when it was made from a bare mesh.
+        points: Points that someone wants measured; None = nobody says which.
     """
 
     id: str
@@ -122,3 +124,4 @@ class Part:
     T_map_workpiece: Array
     scan: ScanSettings = field(default_factory=ScanSettings)
     source: Path | None = None
+    points: InspectionPoints | None = None

@@ -1,4 +1,8 @@
-"""The four sample parts: the sizes of Table 1 (M4), the features that its text describes."""
+"""The sample parts: four panels and an engine.
+
+The panels have the sizes of Table 1 (M4) and the features that its text describes, the engine is
+that of C 4.
+"""
 
 import functools
 import hashlib
@@ -10,7 +14,16 @@ from pathlib import Path
 
 from skinplan.errors import PartInvalidError, PartNotFoundError
 from skinplan.mesh.load import load_mesh
-from skinplan.part import defaults, files, model, shapes
+from skinplan.part import (
+    defaults,
+    engine,
+    engine_sample,
+    files,
+    inspection_points,
+    model,
+    points_file,
+    shapes,
+)
 from skinplan.part.model import Part
 from skinplan.part.shapes import Panel, Plateau, write_stl
 
@@ -64,23 +77,27 @@ _PANELS = {
         ),
     ),
 }
-SAMPLES = tuple(_PANELS)
+ENGINE = "engine"
+#: The samples that are panels to be scanned; all have the same default fixture and placement.
+PANELS = tuple(_PANELS)
+SAMPLES = (*PANELS, ENGINE)
 SAMPLE_TITLES = {
     "scene1": "upper wing panel, smooth, 1.8 x 1.0 m",
     "scene2": "vertical stabiliser with grooves, 0.7 x 0.6 m",
     "scene3": "lower wing panel with recesses and a bump, 2.5 x 0.9 m",
     "scene4": "fuselage section with steep-sided bumps, 2.9 x 0.8 m",
+    ENGINE: "engine with 150 measuring points on three surfaces, 2.6 m long, 0.6 m thick",
 }
 
 
 def sample_panel(name: str) -> Panel:
-    """Returns the shape of a sample part.
+    """Returns the shape of a sample panel.
 
     Raises:
-        PartNotFoundError: No sample of that name.
+        PartNotFoundError: No panel of that name.
     """
     if name not in _PANELS:
-        raise PartNotFoundError(f"no sample part {name!r}; there are {', '.join(SAMPLES)}")
+        raise PartNotFoundError(f"no sample panel {name!r}; there are {', '.join(PANELS)}")
     return _PANELS[name]
 
 
@@ -89,7 +106,8 @@ def write_sample(name: str, folder: Path, triangles: int = TRIANGLES) -> Part:
 
     Args:
         name: One of `SAMPLES`.
-        folder: Where ``<name>.stl`` and ``part.yaml`` go; created when missing.
+        folder: Where ``<name>.stl`` and ``part.yaml`` go, and ``points.csv`` and ``cell.yaml`` of
+            the engine; created when missing.
         triangles: About how many triangles the mesh has.
 
     Returns:
@@ -99,26 +117,20 @@ def write_sample(name: str, folder: Path, triangles: int = TRIANGLES) -> Part:
         PartNotFoundError: No sample of that name.
         PartInvalidError: The folder can't be written.
     """
-    panel = sample_panel(name)
-    vertices, faces = panel.triangulate(triangles)
+    if name not in SAMPLES:
+        raise PartNotFoundError(f"no sample part {name!r}; there are {', '.join(SAMPLES)}")
     try:
         folder.mkdir(parents=True, exist_ok=True)
         # Others may read or write the same files now: each appears at once, the part file last.
         work = Path(tempfile.mkdtemp(prefix=".writing-", dir=folder))
         try:
-            write_stl(work / f"{name}.stl", vertices, faces)
-            mesh = load_mesh(work / f"{name}.stl", "m")
-            part = Part(
-                id=name,
-                mesh_path=work / f"{name}.stl",
-                unit="m",
-                mesh_sha256=mesh.sha256,
-                fixture=defaults.default_fixture(mesh.bounds),
-                T_map_workpiece=defaults.default_placement(mesh.bounds),
-            )
+            if name == ENGINE:
+                part = engine_sample.write_engine(work, triangles)
+            else:
+                part = _write_panel(name, work, triangles)
             files.save_part(part, work / "part.yaml")
-            for file in (f"{name}.stl", "part.yaml"):
-                os.replace(work / file, folder / file)
+            for file in sorted(work.iterdir(), key=lambda file: (file.name == "part.yaml", file)):
+                os.replace(file, folder / file.name)
         finally:
             shutil.rmtree(work, ignore_errors=True)
     except OSError as error:
@@ -126,6 +138,20 @@ def write_sample(name: str, folder: Path, triangles: int = TRIANGLES) -> Part:
             f"the sample {name} can't be written to {folder}: {error.strerror}"
         ) from error
     return files.load_part(folder / "part.yaml")
+
+
+def _write_panel(name: str, folder: Path, triangles: int) -> Part:
+    vertices, faces = sample_panel(name).triangulate(triangles)
+    write_stl(folder / f"{name}.stl", vertices, faces)
+    mesh = load_mesh(folder / f"{name}.stl", "m")
+    return Part(
+        id=name,
+        mesh_path=folder / f"{name}.stl",
+        unit="m",
+        mesh_sha256=mesh.sha256,
+        fixture=defaults.default_fixture(mesh.bounds),
+        T_map_workpiece=defaults.default_placement(mesh.bounds),
+    )
 
 
 def sample_folder() -> Path:
@@ -146,6 +172,16 @@ def sample_folder() -> Path:
 @functools.cache
 def _version() -> str:
     digest = hashlib.sha256()
-    for file in (__file__, shapes.__file__, defaults.__file__, files.__file__, model.__file__):
+    rooms = (
+        shapes,
+        defaults,
+        files,
+        model,
+        engine,
+        engine_sample,
+        inspection_points,
+        points_file,
+    )
+    for file in (__file__, *(str(room.__file__) for room in rooms)):
         digest.update(Path(file).read_bytes())
     return digest.hexdigest()[:12]

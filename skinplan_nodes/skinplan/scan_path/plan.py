@@ -6,21 +6,37 @@ import numpy as np
 
 from skinplan.errors import InputError, MeshEmptyError, MeshNotFiniteError
 from skinplan.mesh.model import Segmentation, SurfaceMesh
+from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import ScanSettings
 from skinplan.part.settings import check_settings
 from skinplan.scan_path import published
 from skinplan.scan_path.coverage import coverage_path
 from skinplan.scan_path.model import ScanPath
+from skinplan.scan_path.points import points_path
 from skinplan.strategies import chosen
 
-STRATEGIES: dict[str, Callable[[SurfaceMesh, Segmentation, ScanSettings], ScanPath]] = {
-    "coverage": coverage_path,
-    "published": published.published_path,
+Strategy = Callable[[SurfaceMesh, Segmentation, ScanSettings, InspectionPoints | None], ScanPath]
+
+
+def _of_surface(
+    plan: Callable[[SurfaceMesh, Segmentation, ScanSettings], ScanPath],
+) -> Strategy:
+    """A strategy that looks at the whole surface and asks for no points."""
+    return lambda mesh, segmentation, settings, _: plan(mesh, segmentation, settings)
+
+
+STRATEGIES: dict[str, Strategy] = {
+    "coverage": _of_surface(coverage_path),
+    "published": _of_surface(published.published_path),
+    "points": points_path,
 }
 
 
 def plan_scan_path(
-    mesh: SurfaceMesh, segmentation: Segmentation, settings: ScanSettings
+    mesh: SurfaceMesh,
+    segmentation: Segmentation,
+    settings: ScanSettings,
+    points: InspectionPoints | None = None,
 ) -> ScanPath:
     """Plans the scan path of a part.
 
@@ -28,6 +44,7 @@ def plan_scan_path(
         mesh: A checked mesh, in the workpiece frame.
         segmentation: Its complex regions.
         settings: Scan settings; ``strategy`` names one of `STRATEGIES`.
+        points: The part's measuring points, which strategy ``points`` looks at; None = it has none.
 
     Returns:
         The scan path in the workpiece frame.
@@ -35,11 +52,12 @@ def plan_scan_path(
     Raises:
         StrategyUnknownError: No strategy of that name.
         PartInvalidError: A setting out of range.
+        InspectionPointsError: Strategy ``points``, and the part gives none.
         MeshError: Nothing that can be planned on.
     """
     strategy = chosen("scan path", settings.strategy, STRATEGIES)
     _check(mesh, segmentation)
-    return strategy(mesh, segmentation, check_settings(settings))
+    return strategy(mesh, segmentation, check_settings(settings), points)
 
 
 def rows_only_path(
