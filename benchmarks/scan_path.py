@@ -24,7 +24,7 @@ from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import load_mesh
 from skinplan.mesh.segment import segment_mesh
 from skinplan.part.model import ScanSettings
-from skinplan.part.samples import SAMPLES, write_sample
+from skinplan.part.samples import PANELS, write_sample
 from skinplan.scan_path.plan import plan_scan_path, rows_only_path
 from skinplan.scanner.coverage import certify, coverage_figures
 from skinplan.scanner.model import ScannerModel
@@ -113,7 +113,7 @@ def main() -> None:
     """Prints the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--triangles", type=int, nargs="*", default=SIZES, help="of the samples")
-    parser.add_argument("--samples", nargs="*", default=SAMPLES, choices=SAMPLES)
+    parser.add_argument("--samples", nargs="*", default=PANELS, choices=PANELS)
     parser.add_argument("--large", action="store_true", help="scene4 with 5 M triangles too")
     parser.add_argument("--strategy", default="published")
     parser.add_argument("--one", action="store_true", help=argparse.SUPPRESS)

@@ -15,7 +15,7 @@ from skinplan.mesh.load import load_mesh
 from skinplan.mesh.segment import segment_mesh
 from skinplan.part.defaults import default_placement
 from skinplan.part.model import ScanSettings
-from skinplan.part.samples import SAMPLES, write_sample
+from skinplan.part.samples import PANELS, write_sample
 from skinplan.robot.cell import load_cell
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan.stations.plan import plan_stations
@@ -48,7 +48,7 @@ def meshes(given: list[Path]) -> Iterator[Path]:
         yield from given
         return
     with tempfile.TemporaryDirectory() as folder:
-        for name in SAMPLES:
+        for name in PANELS:
             yield write_sample(name, Path(folder) / name).mesh_path
 
 

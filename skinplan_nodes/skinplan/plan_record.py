@@ -205,6 +205,8 @@ def _stations_summary(plan: StationPlan) -> dict[str, Any]:
         "lower_bound": plan.lower_bound,
         "proven_optimal": plan.proven_optimal,
         "reached_ratio": plan.reached_ratio,
+        "robust_ratio": plan.robust_ratio,
+        "tracker": None if plan.T_map_tracker is None else _pose_document(plan.T_map_tracker),
     }
 
 
@@ -262,8 +264,7 @@ def _coverage_document(coverage: CoverageFigures) -> dict[str, Any]:
 def _stations_document(plan: StationPlan, T_map_workpiece: Array | None) -> dict[str, Any]:
     place = {}
     if T_map_workpiece is not None:
-        turn = quaternion(T_map_workpiece)
-        place = {"workpiece": {"position_m": T_map_workpiece[:3, 3], "quaternion": turn}}
+        place = {"workpiece": _pose_document(T_map_workpiece)}
     return {
         "frame": "map",
         **_stations_summary(plan),
@@ -283,6 +284,10 @@ def _stations_document(plan: StationPlan, T_map_workpiece: Array | None) -> dict
         ],
         "skipped": _skipped_document(plan.skipped),
     }
+
+
+def _pose_document(T: Array) -> dict[str, Any]:
+    return {"position_m": T[:3, 3], "quaternion": quaternion(T)}
 
 
 def _trajectories_document(

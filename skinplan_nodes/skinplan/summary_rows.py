@@ -19,6 +19,11 @@ def plan_rows(summary: Mapping[str, Any]) -> Rows:
             ("stations", _stations(stations)),
             ("points reached", _percent(stations["reached_ratio"])),
         ]
+        if stations.get("robust_ratio") is not None:
+            rows.append(("… beside the goal, too", _percent(stations["robust_ratio"])))
+        if stations.get("tracker"):
+            place = ", ".join(f"{value:.2f}" for value in stations["tracker"]["position_m"])
+            rows.append(("tracker at", f"{place} m"))
     if motion := summary.get("trajectory"):
         rows += [
             ("cycle time", f"{motion['cycle_s']:.0f} s (scan {motion['scan_s']:.0f} s)"),

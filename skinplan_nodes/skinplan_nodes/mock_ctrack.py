@@ -12,7 +12,7 @@ from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Bool
 from std_srvs.srv import SetBool
 
-from skinplan.errors import SkinplanError
+from skinplan.errors import CellInvalidError, SkinplanError
 from skinplan.mesh.load import load_mesh
 from skinplan.mock.scanner import MockScanner, MockTracker
 from skinplan.mock.truth import Truth
@@ -72,7 +72,18 @@ class MockCtrack(CellNode):
         self._scanner = MockScanner(
             mesh, ScannerModel.from_settings(part.scan), seed, self.values.rays
         )
-        self._tracker = MockTracker(cell.T_map_tracker, seed)
+        if cell.propose_tracker:
+            raise CellInvalidError(
+                "the cell gives no place for the tracker (T_map_tracker is null); to run, the "
+                "place is needed: `skinplan plan` proposes one"
+            )
+        figures = cell.tracker
+        self._tracker = MockTracker(
+            cell.T_map_tracker,
+            seed,
+            (figures.range_min_m, figures.range_max_m),
+            figures.cone_rad,
+        )
         # Begin and end of scanning on the cell's clock: joint states that still wait when the
         # scanner is switched belong to the time before.
         self._intervals: deque[list[float]] = deque(maxlen=_INTERVALS)

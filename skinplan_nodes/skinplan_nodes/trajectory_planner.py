@@ -18,6 +18,7 @@ from skinplan.scan_path.model import ScanPath
 from skinplan.trajectory.cycle import row_length
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.trajectory.plan import plan_station_trajectory
+from skinplan.transforms import inverse
 from skinplan_nodes.conversions import (
     PlanTimes,
     pose_stamped_from_msg,
@@ -104,6 +105,8 @@ class TrajectoryPlanner(CellNode):
             start,
             progress=self.note_progress,
             is_cancelled=self.ended,
+            # The part stands near its nominal place, and so do the cell's obstacles about it.
+            T_arm_base_map=T_arm_base_workpiece @ inverse(part.T_map_workpiece),
         )
         response.trajectory = station_trajectory_to_msg(trajectory)
         response.planning_time = time.perf_counter() - begin

@@ -101,6 +101,17 @@ def test_finding_round_trip(where):
     assert c.finding_from_msg(c.finding_to_msg(finding)) == finding
 
 
+@pytest.mark.parametrize("tracker", [None, planar(1.0, -3.0, 0.7)])
+def test_the_tracker_of_a_station_plan_survives_the_round_trip(tracker):
+    found = c.station_plan_from_msg(
+        c.station_plan_to_msg(replace(plan_of(1), T_map_tracker=tracker))
+    )
+    if tracker is None:
+        assert found.T_map_tracker is None
+    else:
+        np.testing.assert_allclose(found.T_map_tracker, tracker, atol=1e-12)
+
+
 def test_scan_path_without_facts_has_unknown_coverage():
     msg = c.scan_path_to_msg(path_of(2))
     assert np.isnan(msg.coverage.area_ratio)

@@ -21,11 +21,12 @@ from skinplan.inspection.cloud import write_ply
 from skinplan.mesh.prepare import prepare_mesh
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
-from skinplan.plan_record import scan_path_hash
+from skinplan.plan_record import scan_path_hash, station_hash
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan.scanner.predict import predict_coverage
 from skinplan.scanner.samples import sample_surface
+from skinplan.stations.plan import plan_stations
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import inverse
 from skinplan_nodes.conversions import (
@@ -153,6 +154,27 @@ def test_findings_of_the_mesh_travel_with_the_path(bench: Bench, tmp_path: Path)
     assert answer.status.code == Status.OK
     found = {finding.name: finding for finding in answer.findings}
     assert (found["duplicate faces"].count, found["duplicate faces"].action) == (5, "repaired")
+
+
+@pytest.mark.parametrize("strategy", ["rectangles", "reach", "axial_radial"])
+def test_station_service_and_library_have_one_hash(
+    bench: Bench, part: Part, path: messages.ScanPath, strategy: str
+) -> None:
+    request = PlanStations.Request(part=reference(part), path=path, strategy=strategy)
+    request.pose = pose_stamped_to_msg(part.T_map_workpiece, "map")
+    answer = bench.call(PlanStations, "plan_stations", request)
+    assert (answer.status.code, answer.status.message) == (Status.OK, "")
+    settings = replace(part.scan, station_strategy=strategy)
+    mesh = prepare_mesh(part).mesh
+    asked = scan_path_from_msg(path)
+    # The pose as the service gets it: a quaternion is not quite the matrix it was made of.
+    T_map_workpiece = pose_from_msg(request.pose.pose)
+    wanted = plan_stations(asked, T_map_workpiece, mesh, settings, CellConfig())
+    assert answer.plan.strategy == strategy
+    assert answer.plan.plan_hash == station_hash(wanted)
+    assert answer.plan.lower_bound == wanted.lower_bound
+    assert answer.plan.reached_ratio == wanted.reached_ratio
+    assert answer.plan.robust_ratio == pytest.approx(wanted.robust_ratio, nan_ok=True)
 
 
 def test_stations_reach_the_points(

@@ -42,11 +42,11 @@ def flat_mesh(tmp_path, scale=1.0, name="flat.stl"):
     return path
 
 
-def test_parts_lists_the_four_scenes():
+def test_parts_lists_the_samples():
     result = invoke("parts", "--json")
     assert result.exit_code == 0
     names = [sample["name"] for sample in json.loads(result.stdout)["samples"]]
-    assert names == ["scene1", "scene2", "scene3", "scene4"]
+    assert names == ["scene1", "scene2", "scene3", "scene4", "engine"]
 
 
 def test_export_writes_mesh_and_part_file(tmp_path):
@@ -89,7 +89,8 @@ def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
     view = json.loads(result.stdout)["view"]
     assert view["url"] is None
     names = [Path(file).name for file in view["pictures"]]
-    assert names == ["regions.png", "points.png", "rows.png", "coverage.png", "stations.png"]
+    kinds = ("regions", "points", "rows", "coverage", "stations", "reach")
+    assert names == [f"{kind}.png" for kind in kinds]
     for file in view["pictures"]:
         assert Path(file).parent == Path("plan-flat")
         assert Path(file).read_bytes().startswith(b"\x89PNG")

@@ -25,7 +25,7 @@ from skinplan.stations.plan import plan_stations
 from skinplan.transforms import heading, planar, transform
 
 CELL = CellConfig()
-SCAN = ScanSettings()
+SCAN = ScanSettings(strategy="published", station_strategy="rectangles")
 
 
 def plan(path=None, T=None, mesh=None, settings=SCAN, cell=CELL, **more):
@@ -41,8 +41,8 @@ def plan(path=None, T=None, mesh=None, settings=SCAN, cell=CELL, **more):
 def test_the_paper_scenes_have_the_stations_of_table_1(tmp_path, name, stations):
     part = write_sample(name, tmp_path)
     mesh, _ = check_mesh(load_mesh(part.mesh_path, part.unit))
-    path = plan_scan_path(mesh, segment_mesh(mesh), part.scan)
-    found = plan_stations(path, part.T_map_workpiece, mesh, part.scan, CELL)
+    path = plan_scan_path(mesh, segment_mesh(mesh), SCAN)
+    found = plan_stations(path, part.T_map_workpiece, mesh, SCAN, CELL)
     assert len(found.stations) == stations
     assert found.proven_optimal and found.lower_bound == stations
     assert found.reached_ratio >= 0.99
@@ -80,7 +80,8 @@ def test_points_of_a_station_are_really_reached_from_it():
 @pytest.mark.parametrize("turn", [0.5, -2.5])
 def test_the_plan_turns_with_the_part(turn):
     shift = planar(4.0, -3.0, turn)
-    here, there = plan(), plan(T=shift @ upright())
+    moved = dataclasses.replace(CELL, T_map_tracker=shift @ CELL.T_map_tracker)
+    here, there = plan(), plan(T=shift @ upright(), cell=moved)
     for a, b in zip(here.stations, there.stations, strict=True):
         assert np.allclose(shift @ a.T_map_base_link, b.T_map_base_link, atol=1e-4)
         assert np.array_equal(a.points, b.points)

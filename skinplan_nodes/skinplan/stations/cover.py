@@ -89,37 +89,19 @@ def _least_deviation(
     """Among all sets of ``count`` candidates that cover all points the one with the least sum of D.
 
     A set is a path from a source over its members, in their order, to a sink: one flow variable per
-    ordered pair.
+    ordered pair (`chains`).
     """
     size = len(places)
     if count < 2:
         return _most_central(matrix, places)
-    a, b = np.triu_indices(size, 1)
-    gap = np.abs(np.linalg.norm(places[b] - places[a], axis=1) - wanted_m)
-    # Variables: chosen (c), pair (p), first (c), last (c), last pair (p).
-    pairs = len(a)
+    gap, constraints = chains(places, wanted_m)
+    pairs = len(gap)
     cost = np.concatenate([np.zeros(size), gap, np.zeros(2 * size), gap])
-    out_of, into = _incidence(a, size), _incidence(b, size)
-    one, none_p, none_c = _eye(size), csr_matrix((size, pairs)), csr_matrix((size, size))
-    leaves = hstack([-one, out_of, none_c, one, none_p])
-    enters = hstack([-one, into, one, none_c, none_p])
-    ends = hstack([none_c, none_p, none_c, -one, into])
-    last_is_used = hstack(
-        [csr_matrix((pairs, size)), -_eye(pairs), csr_matrix((pairs, 2 * size)), _eye(pairs)]
-    )
     covered = hstack([matrix.T, csr_matrix((matrix.shape[1], 2 * pairs + 2 * size))])
     total = csr_matrix(np.concatenate([np.ones(size), np.zeros(2 * pairs + 2 * size)])[None])
-    starts = csr_matrix(
-        np.concatenate([np.zeros(size + pairs), np.ones(size), np.zeros(size + pairs)])[None]
-    )
-    constraints = [
-        LinearConstraint(leaves, 0.0, 0.0),
-        LinearConstraint(enters, 0.0, 0.0),
-        LinearConstraint(ends, 0.0, 0.0),
-        LinearConstraint(last_is_used, -np.inf, 0.0),
+    constraints += [
         LinearConstraint(covered, 1.0, np.inf),
         LinearConstraint(total, count, count),
-        LinearConstraint(starts, 1.0, 1.0),
     ]
     integrality = np.concatenate([np.ones(size), np.zeros(2 * pairs + 2 * size)])
     options = {"time_limit": _TIME_LIMIT_S}
@@ -130,6 +112,41 @@ def _least_deviation(
         _LOG.warning("spacing of %d stations not optimised: %s", count, found.message)
         return fallback
     return np.flatnonzero(np.round(found.x[:size]) > 0)
+
+
+def chains(places: Array, wanted_m: float) -> tuple[Array, list[LinearConstraint]]:
+    """Makes the constraints that join two or more chosen candidates, in order, to a chain.
+
+    Args:
+        places: Middles of the candidates, rising along the heading, shape (c, 2) [m].
+        wanted_m: w, the wanted spacing of neighbours [m].
+
+    Returns:
+        The deviation of every ordered pair from w, shape (p,) [m], and constraints on the variables
+        chosen (c), pair of neighbours (p), first (c), last (c), last pair (p).
+    """
+    size = len(places)
+    a, b = np.triu_indices(size, 1)
+    gap = np.abs(np.linalg.norm(places[b] - places[a], axis=1) - wanted_m)
+    pairs = len(a)
+    out_of, into = _incidence(a, size), _incidence(b, size)
+    one, none_p, none_c = _eye(size), csr_matrix((size, pairs)), csr_matrix((size, size))
+    leaves = hstack([-one, out_of, none_c, one, none_p])
+    enters = hstack([-one, into, one, none_c, none_p])
+    ends = hstack([none_c, none_p, none_c, -one, into])
+    last_is_used = hstack(
+        [csr_matrix((pairs, size)), -_eye(pairs), csr_matrix((pairs, 2 * size)), _eye(pairs)]
+    )
+    starts = csr_matrix(
+        np.concatenate([np.zeros(size + pairs), np.ones(size), np.zeros(size + pairs)])[None]
+    )
+    return gap, [
+        LinearConstraint(leaves, 0.0, 0.0),
+        LinearConstraint(enters, 0.0, 0.0),
+        LinearConstraint(ends, 0.0, 0.0),
+        LinearConstraint(last_is_used, -np.inf, 0.0),
+        LinearConstraint(starts, 1.0, 1.0),
+    ]
 
 
 def _most_central(matrix: csr_matrix, places: Array) -> NDArray[np.int64]:

@@ -1,10 +1,12 @@
 """Stations, as the rooms exchange them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
+from skinplan.robot.records import ReachTable
+from skinplan.stations.candidate_map import CandidateMap
 from skinplan.transforms import Array
 
 
@@ -47,7 +49,16 @@ class StationPlan:
         lower_bound: Proven least number of stations over the candidates; 0 = no bound known.
         proven_optimal: No smaller set of the candidates covers as much.
         reached_ratio: Share of the points that the arm really reaches from their station [1].
-        skipped: Points that no station reaches.
+        skipped: Points that no station reaches, each with the reason where it is nearest to being
+            reached.
+        robust_ratio: Share of the points that are reached also when the base stops beside its goal
+            [1]; NaN = not asked.
+        T_map_tracker: Tracker that must see the scanner, given or proposed, shape (4, 4) [m]; None
+            = not known.
+        records: Reach records, one row for each station; None = not kept.
+        robust: Which station reaches which point also from beside its goal, shape (s, n); None =
+            not asked or not kept.
+        candidates_seen: The candidates, for pictures; None = not kept.
     """
 
     strategy: str
@@ -57,3 +68,8 @@ class StationPlan:
     proven_optimal: bool
     reached_ratio: float
     skipped: tuple[SkippedPoint, ...]
+    robust_ratio: float = float("nan")
+    records: ReachTable | None = field(default=None, compare=False, repr=False)
+    robust: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
+    candidates_seen: CandidateMap | None = field(default=None, compare=False, repr=False)
+    T_map_tracker: Array | None = None

@@ -2,62 +2,36 @@
 
 import logging
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from skinplan.errors import (
-    CancelledError,
-    NoCandidatesError,
-    NothingReachedError,
-    ScanPathInvalidError,
-)
+from skinplan.contact.strategy import axial_radial
+from skinplan.errors import NoCandidatesError, NothingReachedError, ScanPathInvalidError
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.robot.cell import CellConfig
-from skinplan.robot.collision import CollisionWorld
-from skinplan.robot.reach import Views, reach
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.assign import assign
+from skinplan.stations.candidate_map import CandidateMap
 from skinplan.stations.candidates import floor_frame, make_candidates, refined_centre
 from skinplan.stations.cover import WANTED_SPACING_RATIO, choose
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
+from skinplan.stations.problem import Progress, Proposal, StationProblem, StationReach
+from skinplan.stations.reach_strategy import FINE_SHARES, engine_for, reach_stations
 from skinplan.stations.rectangle import workspace_rectangle
+from skinplan.stations.standing import standing
+from skinplan.stations.tracker_proposal import with_proposed_tracker
 from skinplan.strategies import chosen
 from skinplan.transforms import Array, apply, inverse, planar, require_transform, rotate
 
 _LOG = logging.getLogger(__name__)
 
-Progress = Callable[[float, str], None]
 
-
-@dataclass(frozen=True, eq=False)
-class Proposal:
-    """Base poses proposed by a strategy, before the true reach is known.
-
-    Attributes:
-        poses: ``T_map_base_link`` in the order of visit, each of shape (4, 4) [m].
-        along: Unit direction on the floor along which stations follow one another, shape (2,), map
-            frame.
-        candidates: Number of candidates.
-        lower_bound: Proven least number of stations over the candidates.
-        proven_optimal: No smaller set of candidates covers as much.
-        uncovered: Points that no candidate covers, shape (u,).
-    """
-
-    poses: tuple[Array, ...]
-    along: Array
-    candidates: int
-    lower_bound: int
-    proven_optimal: bool
-    uncovered: NDArray[np.int64]
-
-
-def rectangles(
-    path: ScanPath, T_map_workpiece: Array, settings: ScanSettings, cell: CellConfig
-) -> Proposal:
+def rectangles(problem: StationProblem) -> Proposal:
     """The paper's method: rectangles on projected points, NMS, eq (6), eq (7)."""
+    path, T_map_workpiece = problem.path, problem.T_map_workpiece
+    settings, cell = problem.settings, problem.cell
     rectangle = workspace_rectangle(cell, settings.standoff_m)
     floor = apply(T_map_workpiece, path.positions)[:, :2]
     heading = floor_frame(floor, rotate(T_map_workpiece, path.directions))
@@ -67,15 +41,19 @@ def rectangles(
     choice = choose(
         candidates.covers, candidates.centres, WANTED_SPACING_RATIO * rectangle.length_m
     )
+    offset = turn @ cell.T_base_link_arm_base[:2, 3]
+
+    def base_pose(centre: Array) -> Array:
+        # The arm axis stands beside the rectangle: the base so that its arm does.
+        x, y = turn @ (centre - np.array([0.0, rectangle.offset_m])) - offset
+        return planar(x, y, heading)
+
     poses = []
     for number in choice.chosen:
         centre = refined_centre(
             points[candidates.covers[number]], candidates.centres[number], rectangle
         )
-        arm = turn @ (centre - np.array([0.0, rectangle.offset_m]))
-        # The arm axis stands there: the base so that its arm does.
-        offset = turn @ cell.T_base_link_arm_base[:2, 3]
-        poses.append((float(centre[0]), planar(arm[0] - offset[0], arm[1] - offset[1], heading)))
+        poses.append((float(centre[0]), base_pose(centre)))
     poses.sort(key=lambda pose: pose[0])
     return Proposal(
         tuple(pose for _, pose in poses),
@@ -84,11 +62,20 @@ def rectangles(
         choice.lower_bound,
         choice.proven,
         np.flatnonzero(~candidates.covers.any(axis=0)),
+        candidates_seen=CandidateMap(
+            np.array([base_pose(centre) for centre in candidates.centres]),
+            candidates.covers.sum(axis=1),
+            "covers",
+            rectangle,
+        ),
     )
 
 
-STRATEGIES: dict[str, Callable[[ScanPath, Array, ScanSettings, CellConfig], Proposal]] = {
-    "rectangles": rectangles
+#: Strategies by name. One that leaves `Proposal.reach` out has it found at its poses.
+STRATEGIES: dict[str, Callable[[StationProblem], Proposal]] = {
+    "axial_radial": axial_radial,
+    "reach": reach_stations,
+    "rectangles": rectangles,
 }
 
 
@@ -126,90 +113,104 @@ def plan_stations(
     strategy = chosen("station", settings.station_strategy, STRATEGIES)
     _require_path(path)
     T_map_workpiece = require_transform(T_map_workpiece, "T_map_workpiece")
-    tell = progress or (lambda share, text: None)
-    tell(0.0, "candidates")
-    proposal = strategy(path, T_map_workpiece, settings, cell)
-    poses, reaches, reasons = _true_reach(
-        proposal, path, T_map_workpiece, mesh, settings, cell, tell, is_cancelled
+    problem = StationProblem(
+        path, T_map_workpiece, mesh, settings, cell, progress or _silent, is_cancelled
     )
-    along = apply(T_map_workpiece, path.positions)[:, :2] @ proposal.along
-    places = np.array([pose[:2, 3] @ proposal.along for pose in poses])
-    owner = assign(reaches, places, along)
+    if cell.propose_tracker:
+        cell = with_proposed_tracker(problem, lambda other: _planned(strategy, other))
+        problem = replace(problem, cell=cell)
+    plan = replace(_planned(strategy, problem), T_map_tracker=cell.T_map_tracker)
+    _LOG.info(
+        "%d stations of %d candidates, %.1f %% of %d points reached",
+        len(plan.stations), plan.candidates, 100.0 * plan.reached_ratio, len(path),
+    )  # fmt: skip
+    problem.tell(1.0, "done")
+    return plan
+
+
+def _planned(
+    strategy: Callable[[StationProblem], Proposal], problem: StationProblem
+) -> StationPlan:
+    problem.tell(0.0, "candidates")
+    proposal = strategy(problem)
+    if proposal.reach is None:
+        proposal = _with_true_reach(problem, proposal)
+    return _assigned(problem, proposal)
+
+
+def _silent(share: float, text: str) -> None:
+    """Progress that nobody wants."""
+
+
+def _assigned(problem: StationProblem, proposal: Proposal) -> StationPlan:
+    """Gives every point to a station; the table's rows follow the stations."""
+    found = proposal.reach
+    assert found is not None
+    # Where a station reaches a point also beside its goal, none that does not takes it.
+    firm = found.reached if found.robust is None else found.robust
+    usable = np.where(firm.any(axis=0), firm, found.reached)
+    along = apply(problem.T_map_workpiece, problem.path.positions)[:, :2] @ proposal.along
+    places = np.array([pose[:2, 3] @ proposal.along for pose in proposal.poses])
+    owner = assign(usable, places, along)
     if np.all(owner < 0):
-        reason = reasons[0].get(0, "unknown")
         raise NothingReachedError(
-            f"the arm reaches none of the {len(path)} points from any of {len(poses)} stations; "
-            f"the first point: {reason}"
+            f"the arm reaches none of the {len(problem.path)} points from any of "
+            f"{len(proposal.poses)} stations; the first point: {found.reasons.get(0, 'unknown')}"
         )
-    used = [number for number in range(len(poses)) if np.any(owner == number)]
+    used = [number for number in range(len(proposal.poses)) if np.any(owner == number)]
     stations = tuple(
-        Station(new, poses[old], np.flatnonzero(owner == old).astype(np.int64))
+        Station(new, proposal.poses[old], np.flatnonzero(owner == old).astype(np.int64))
         for new, old in enumerate(used)
     )
-    nearest = np.argmin(np.abs(places[:, None] - along[None]), axis=0)
     skipped = tuple(
-        SkippedPoint(
-            int(p), _reason(reasons[nearest[p]].get(int(p), "unknown"), p in proposal.uncovered)
-        )
+        SkippedPoint(int(p), found.reasons.get(int(p), "unknown"))
         for p in np.flatnonzero(owner < 0)
     )
-    ratio = 1.0 - len(skipped) / len(path)
-    _LOG.info("%d stations of %d candidates, %.1f %% of %d points reached", len(stations),
-    proposal.candidates,
-              100.0 * ratio, len(path))  # fmt: skip
-    tell(1.0, "done")
+    robust = float(np.mean(found.robust.any(axis=0))) if found.robust is not None else float("nan")
     return StationPlan(
-        settings.station_strategy, stations, proposal.candidates, proposal.lower_bound,
-        proposal.proven_optimal, ratio, skipped,
+        problem.settings.station_strategy, stations, proposal.candidates, proposal.lower_bound,
+        proposal.proven_optimal, 1.0 - len(skipped) / len(problem.path), skipped, robust,
+        None if found.table is None else found.table.rows(used),
+        None if found.robust is None else found.robust[used],
+        proposal.candidates_seen,
     )  # fmt: skip
 
 
-def _true_reach(
-    proposal: Proposal,
-    path: ScanPath,
-    T_map_workpiece: Array,
-    mesh: SurfaceMesh,
-    settings: ScanSettings,
-    cell: CellConfig,
-    tell: Progress,
-    is_cancelled: Callable[[], bool] | None,
-) -> tuple[list[Array], NDArray[np.bool_], list[dict[int, str]]]:
-    """Reach at those nominal poses that are free, and the reasons where there is none."""
-    home = np.array(cell.home_rad)
-    poses, rows, reasons = [], [], []
-    blocked = ""
-    for number, T_map_base in enumerate(proposal.poses):
-        if is_cancelled is not None and is_cancelled():
-            raise CancelledError("station planning was cancelled")
-        tell(
-            0.2 + 0.8 * number / len(proposal.poses),
-            f"reach of station {number + 1} of {len(proposal.poses)}",
+def _with_true_reach(problem: StationProblem, proposal: Proposal) -> Proposal:
+    """Finds what the poses that are free really reach, and the reasons where they do not."""
+    poses = np.array(proposal.poses).reshape(-1, 4, 4)
+    engine = engine_for(problem, FINE_SHARES, False)
+    cell = problem.cell
+    free, blocked = standing(cell, problem.mesh, problem.T_map_workpiece, poses)
+    T_map_arm = poses @ cell.T_base_link_arm_base
+    home = np.tile(cell.home_rad, (len(poses), 1))
+    codes = engine.world.codes(home, inverse(problem.T_map_workpiece) @ T_map_arm, T_map_arm)
+    for number in np.flatnonzero(free & (codes > 0)):
+        blocked = f"collision of {engine.world.names[codes[number]]}"
+    free &= codes == 0
+    if not free.any():
+        raise NoCandidatesError(f"none of the {len(poses)} places for the base is free: {blocked}")
+    for pose in poses[~free]:
+        _LOG.warning("station at %s left out: %s", np.round(pose[:2, 3], 3).tolist(), blocked)
+    table = engine.table(
+        poses[free],
+        keep_joints=True,
+        progress=lambda share: problem.tell(0.2 + 0.7 * share, "reach of the stations"),
+        is_cancelled=problem.is_cancelled,
+    )
+    nearest = np.argmax(table.nearness, axis=0)
+    reasons = {
+        int(point): _reason(
+            table.reason(int(table.codes[nearest[point], point])), point in proposal.uncovered
         )
-        T_arm_base_workpiece = inverse(T_map_base @ cell.T_base_link_arm_base) @ T_map_workpiece
-        world = CollisionWorld(cell, mesh, T_arm_base_workpiece)
-        problem = world.base_problem() or world.pair(home)
-        if problem:
-            blocked = f"collision of {problem}"
-            _LOG.warning(
-                "station at %s left out: %s", np.round(T_map_base[:2, 3], 3).tolist(), blocked
-            )
-            continue
-        views = Views.placed(path.positions, path.directions, path.targets, T_arm_base_workpiece)
-        reached = reach(world, views, settings.tilt_max_rad, home)
-        row = np.zeros(len(path), dtype=bool)
-        row[reached.view] = True
-        poses.append(T_map_base)
-        rows.append(row)
-        reasons.append(reached.reasons)
-    if not poses:
-        raise NoCandidatesError(
-            f"none of the {len(proposal.poses)} places for the base is free: {blocked}"
-        )
-    return poses, np.array(rows), reasons
+        for point in np.flatnonzero(~table.reached.any(axis=0))
+    }
+    found = StationReach(table.reached, None, table, reasons)
+    return replace(proposal, poses=tuple(poses[free]), reach=found)
 
 
 def _reason(reason: str, uncovered: bool) -> str:
-    return f"{reason} (no rectangle covers it)" if uncovered else reason
+    return f"{reason} (no candidate covers it)" if uncovered else reason
 
 
 def _require_path(path: ScanPath) -> None:

@@ -48,6 +48,7 @@ def plan_station_trajectory(
     start: Array | None = None,
     progress: Progress | None = None,
     is_cancelled: Callable[[], bool] | None = None,
+    T_arm_base_map: Array | None = None,
 ) -> StationTrajectory:
     """Plans everything that the arm does at one station.
 
@@ -62,6 +63,8 @@ def plan_station_trajectory(
         start: Joint positions that the arm is in, shape (6,) [rad]; None = home.
         progress: Told the share done and what is being done.
         is_cancelled: Asked now and then.
+        T_arm_base_map: Shop in the arm base, shape (4, 4) [m]: where the cell's obstacles are;
+            None = they are left out.
 
     Returns:
         Segments from the start to home; each begins where the one before ends, at rest. Points that
@@ -78,7 +81,10 @@ def plan_station_trajectory(
     points = _require_points(path, points)
     tell = _rising(progress)
     world = CollisionWorld(
-        cell, mesh, require_transform(T_arm_base_workpiece, "T_arm_base_workpiece")
+        cell,
+        mesh,
+        require_transform(T_arm_base_workpiece, "T_arm_base_workpiece"),
+        T_arm_base_map,
     )
     problem = _problem(world, settings, cell, path, points, start, tell, is_cancelled)
     tell(0.05, "inverse kinematics")
@@ -155,14 +161,12 @@ def plan_trajectories(
                 f"station {number + 1} of {len(plan.stations)}: {text}",
             )
 
-        T_arm_base_workpiece = (
-            inverse(station.T_map_base_link @ cell.T_base_link_arm_base) @ T_map_workpiece
-        )
+        T_arm_base_map = inverse(station.T_map_base_link @ cell.T_base_link_arm_base)
         try:
             trajectory = plan_station_trajectory(
                 path,
                 station.points,
-                T_arm_base_workpiece,
+                T_arm_base_map @ T_map_workpiece,
                 mesh,
                 settings,
                 cell,
@@ -170,6 +174,7 @@ def plan_trajectories(
                 None,
                 part,
                 is_cancelled,
+                T_arm_base_map,
             )
         except NoTrajectoryError as error:
             _LOG.warning("%s", error)

@@ -4,12 +4,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from geometry_msgs.msg import Pose, Quaternion
 from skinplan_msgs import msg as messages
 
 from skinplan.errors import InputError
 from skinplan.plan_record import station_hash, trajectory_hash
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
+from skinplan.transforms import Array
 from skinplan_nodes.conversions.geometry import (
     header_to_msg,
     pose_from_msg,
@@ -68,9 +70,23 @@ def station_plan_to_msg(plan: StationPlan, stamp_s: float = 0.0) -> messages.Sta
         lower_bound=plan.lower_bound,
         proven_optimal=bool(plan.proven_optimal),
         reached_ratio=float(plan.reached_ratio),
+        robust_ratio=float(plan.robust_ratio),
+        tracker=_tracker_to_msg(plan.T_map_tracker),
         skipped=skipped_to_msg(plan.skipped),
         plan_hash=station_hash(plan),
     )
+
+
+def _tracker_to_msg(T_map_tracker: Array | None) -> Pose:
+    if T_map_tracker is None:
+        return Pose(orientation=Quaternion(w=0.0))
+    return pose_to_msg(T_map_tracker)
+
+
+def _tracker_from_msg(pose: Pose) -> Array | None:
+    turn = pose.orientation
+    known = any((turn.x, turn.y, turn.z, turn.w))
+    return pose_from_msg(pose) if known else None
 
 
 def station_plan_from_msg(msg: messages.StationPlan) -> StationPlan:
@@ -87,6 +103,8 @@ def station_plan_from_msg(msg: messages.StationPlan) -> StationPlan:
         lower_bound=msg.lower_bound,
         proven_optimal=msg.proven_optimal,
         reached_ratio=msg.reached_ratio,
+        robust_ratio=msg.robust_ratio,
+        T_map_tracker=_tracker_from_msg(msg.tracker),
         skipped=skipped_from_msg(msg.skipped),
     )
 
