@@ -158,7 +158,7 @@ def test_the_scene_has_a_node_for_everything(subject):
         scene = view.scene
         assert set(scene.layers) == {
             "floor", "row points", "feature points", "view directions", "rows", "stations",
-            "field of view",
+            "field of view", "tracker", "tracker's range and cone", "arm", "line of sight",
         }  # fmt: skip
         names = {handle.name for handles in scene.layers.values() for handle in handles}
         assert names >= {"/floor", "/part/rows", "/part/row_points", "/part/feature_points"}
@@ -239,6 +239,7 @@ def test_without_viser_the_error_says_how_to_get_it(subject, monkeypatch):
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_waiting_ends_by_ctrl_c_and_by_terminate(number):
     program = (
+        "import threading\n"
         "import meshes\n"
         "from skinplan.mesh.segment import segment_mesh\n"
         "from skinplan.view.browser import BrowserView\n"
@@ -246,7 +247,8 @@ def test_waiting_ends_by_ctrl_c_and_by_terminate(number):
         "from skinplan.view.subject import Subject\n"
         "mesh = meshes.grid(0.2, 0.1, 0.02)\n"
         "with BrowserView(SceneData(Subject('p', mesh, segment_mesh(mesh))), 0) as view:\n"
-        "    print(view.port, flush=True)\n"
+        "    told = threading.Timer(0.5, lambda: print(view.port, flush=True))\n"
+        "    told.start()  # a signal before the wait has begun would not be the view's\n"
         "    view.wait()\n"
         "print('ended', flush=True)\n"
     )

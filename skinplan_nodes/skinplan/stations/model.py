@@ -72,4 +72,4 @@ class StationPlan:
     records: ReachTable | None = field(default=None, compare=False, repr=False)
     robust: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
     candidates_seen: CandidateMap | None = field(default=None, compare=False, repr=False)
-    T_map_tracker: Array | None = None
+    T_map_tracker: Array | None = field(default=None, compare=False)

@@ -11,6 +11,7 @@ from skinplan.scan_path.frame import base_normal, candidate_frames, vertex_areas
 from skinplan.transforms import Array
 
 _MARGIN = 0.04
+_LEVEL = 0.05  # a part that lies has no upper side: its picture is left as it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,22 +141,40 @@ def front_axes(mesh: SurfaceMesh) -> tuple[Array, Array]:
     return candidate_frames(mesh.vertices, base, vertex_areas(mesh))[0].along, base
 
 
-def front_view(mesh: SurfaceMesh, width_px: int) -> ParallelView:
+def front_view(mesh: SurfaceMesh, width_px: int, turned: bool = False) -> ParallelView:
     """Makes the view from the front.
 
     Args:
         mesh: The part.
         width_px: Width of the picture [px].
+        turned: Turn the picture by half a turn.
 
     Raises:
         MeshRefusedError: The part has no side that faces a viewer.
     """
     right, toward = front_axes(mesh)
-    return view_of(mesh.vertices, right, toward, width_px)
+    return view_of(mesh.vertices, -right if turned else right, toward, width_px)
+
+
+def is_upside_down(mesh: SurfaceMesh, T_map_workpiece: Array) -> bool:
+    """Tells whether up in the front view is down in the shop.
+
+    Args:
+        mesh: The part, workpiece frame.
+        T_map_workpiece: Part in the shop, shape (4, 4) [m].
+
+    Raises:
+        MeshRefusedError: The part has no side that faces a viewer.
+    """
+    right, toward = front_axes(mesh)
+    return bool(T_map_workpiece[2, :3] @ np.cross(toward, right) < -_LEVEL)
 
 
 def raised_view(
-    mesh: SurfaceMesh, width_px: int, raise_rad: float = np.deg2rad(55.0)
+    mesh: SurfaceMesh,
+    width_px: int,
+    raise_rad: float = np.deg2rad(55.0),
+    turned: bool = False,
 ) -> ParallelView:
     """Makes the view from above the front: view directions appear as arrows, tilts as leaning ones.
 
@@ -163,11 +182,13 @@ def raised_view(
         mesh: The part.
         width_px: Width of the picture [px].
         raise_rad: How far the viewer is raised from the front [rad].
+        turned: Turn the picture by half a turn; the viewer is raised to the other side.
 
     Raises:
         MeshRefusedError: The part has no side that faces a viewer.
     """
     right, front = front_axes(mesh)
+    right = -right if turned else right
     up = np.cross(front, right)
     toward = np.cos(raise_rad) * front + np.sin(raise_rad) * up
     return view_of(mesh.vertices, right, toward, width_px)

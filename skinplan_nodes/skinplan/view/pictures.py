@@ -5,7 +5,7 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from skinplan.view import coverage_picture, floor, path_pictures
+from skinplan.view import coverage_picture, floor, path_pictures, reach_picture
 from skinplan.view.regions_picture import regions_figure
 from skinplan.view.sheet import png
 from skinplan.view.stage import Stage
@@ -29,6 +29,7 @@ def figures(subject: Subject) -> dict[str, Callable[[], Figure]]:
         makers["coverage"] = lambda: coverage_picture.coverage_figure(stage)
     if subject.path is not None and subject.station_plan is not None:
         makers["stations"] = lambda: floor.stations_figure(subject)
+        makers["reach"] = lambda: reach_picture.reach_figure(stage)
     return makers
 
 

@@ -13,6 +13,7 @@ from skinplan.scan_path.model import FEATURE, ROW
 from skinplan.transforms import apply, quaternion
 from skinplan.view import palette
 from skinplan.view.camera import front_axes
+from skinplan.view.scene_arm import ArmView, add_tracker
 from skinplan.view.scene_data import (
     Piece,
     SceneData,
@@ -33,6 +34,8 @@ class PlanScene:
         checkboxes: The control of each layer.
         switch: The control that chooses a way to colour the part.
         slider: The control that chooses a scan path point; None without a path.
+        station_slider: The control that chooses where the arm stands; None without stations.
+        arm: The arm; None without stations.
     """
 
     def __init__(self, server: Any, data: SceneData) -> None:
@@ -47,12 +50,15 @@ class PlanScene:
         self.surfaces: dict[str, list[Any]] = {}
         self.checkboxes: dict[str, Any] = {}
         self.slider: Any = None
+        self.station_slider: Any = None
+        self.arm: ArmView | None = None
         self._gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._gui.add_markdown(f"**{escape(data.subject.part_id)}**")
         self._add_ground(server)
         self._add_part()
         self._add_path()
         self._add_stations()
+        self._add_tracker()
         self._add_colour_switch()
         self._add_point_slider()
         with self._gui.add_folder("Layers"):
@@ -157,6 +163,12 @@ class PlanScene:
             handles.append(frame)
         self.layers["stations"] = handles
 
+    def _add_tracker(self) -> None:
+        if self._data.subject.station_plan is None:
+            return
+        tracker, field = add_tracker(self._scene, self._data.subject)
+        self.layers["tracker"], self.layers["tracker's range and cone"] = tracker, field
+
     def _add_colour_switch(self) -> None:
         names = tuple(self.surfaces)
         switch = self._gui.add_dropdown("Part coloured by", names, initial_value=names[0])
@@ -181,7 +193,7 @@ class PlanScene:
             _show(self.surfaces[switch.value], surface.value)
 
     def _add_checkbox(self, name: str, handles: Sequence[Any]) -> None:
-        box = self._gui.add_checkbox(name, True)
+        box = self._gui.add_checkbox(name, bool(handles[0].visible))
         self.checkboxes[name] = box
 
         @box.on_update
@@ -214,6 +226,37 @@ class PlanScene:
 
         slider.on_update(lambda _: place())
         place()
+        self._add_arm()
+
+    def _add_arm(self) -> None:
+        """The arm stands where the point is scanned; the second slider takes it elsewhere."""
+        subject = self._data.subject
+        if subject.station_plan is None or not subject.station_plan.stations:
+            return
+        owner, points = subject.station_of_points(), self.slider
+        arm = self.arm = ArmView(self._scene, subject)
+        self.layers["arm"] = [arm.base]
+        self.layers["line of sight"] = [arm.sight]
+        last = len(subject.station_plan.stations) - 1
+        stations = self._gui.add_slider("Arm at station", 0, max(1, last), 1, 0)
+        self.station_slider = stations
+        told = self._gui.add_markdown("")
+
+        def place() -> None:
+            point = min(int(points.value), len(owner) - 1)
+            shown = arm.place(min(int(stations.value), last), point)
+            told.content = shown.told[0].upper() + shown.told[1:]
+
+        def follow() -> None:
+            station = int(owner[min(int(points.value), len(owner) - 1)])
+            if station >= 0 and station != int(stations.value):
+                stations.value = station  # places the arm
+            else:
+                place()
+
+        stations.on_update(lambda _: place())
+        points.on_update(lambda _: follow())
+        follow()
 
 
 def _show(handles: Sequence[Any], shown: bool) -> None:

@@ -75,12 +75,14 @@ class Page:
         panels: Wide ones stand one above the other, narrow ones in pairs.
         legend: Handles with labels.
         caption: Sentences below the legend.
+        small: Further panels, below, two or three beside each other.
     """
 
     title: str
     panels: tuple[Panel, ...]
     legend: Sequence[Artist] = field(default_factory=tuple)
     caption: str = ""
+    small: tuple[Panel, ...] = ()
 
 
 def draw_page(page: Page) -> Figure:
@@ -92,16 +94,11 @@ def draw_page(page: Page) -> Figure:
     Returns:
         The figure, 1600 px wide.
     """
-    columns = 2 if len(page.panels) > 1 and page.panels[0].ratio > 0.6 else 1
-    width = (WIDTH_PX - _SIDE_PX - _RIGHT_PX - (columns - 1) * _GAP_PX) / columns
-    titles = [_wrapped(panel.title, width) for panel in page.panels]
-    rows = [range(i, min(i + columns, len(titles))) for i in range(0, len(titles), columns)]
-    heights = [min(width * max(page.panels[i].ratio for i in row), _MOST_PANEL_PX) for row in rows]
-    heads = [_PANEL_TITLE_PX + _LINE_PX * max(titles[i].count("\n") for i in row) for row in rows]
+    rows = _rows(page)
     legend_columns, legend_rows = _legend_shape(page.legend)
     lines = textwrap.wrap(page.caption, 180)
     below = _LEGEND_ROW_PX * legend_rows + _CAPTION_ROW_PX * len(lines) + _BOTTOM_PX + _FOOT_GAP_PX
-    total = _TITLE_PX + sum(heights) + sum(heads) + len(rows) * _AXIS_PX + below
+    total = _TITLE_PX + sum(row.whole for row in rows) + below
     figure = Figure(figsize=(WIDTH_PX / _DPI, total / _DPI), dpi=_DPI, facecolor="white")
     FigureCanvasAgg(figure)
     figure.text(
@@ -109,12 +106,12 @@ def draw_page(page: Page) -> Figure:
         color=palette.INK,
     )  # fmt: skip
     top = total - _TITLE_PX
-    for row, height, head in zip(rows, heights, heads, strict=True):
-        top -= head + height
-        for column, i in enumerate(row):
-            left = _SIDE_PX + column * (width + _GAP_PX)
-            box = (left / WIDTH_PX, top / total, width / WIDTH_PX, height / total)
-            _draw_panel(figure, page.panels[i], titles[i], box)
+    for row in rows:
+        top -= row.head + row.height
+        for column, (panel, title) in enumerate(zip(row.panels, row.titles, strict=True)):
+            left = _SIDE_PX + column * (row.width + _GAP_PX)
+            box = (left / WIDTH_PX, top / total, row.width / WIDTH_PX, row.height / total)
+            _draw_panel(figure, panel, title, box)
         top -= _AXIS_PX
     _draw_foot(figure, page.legend, legend_columns, lines, total)
     return figure
@@ -165,6 +162,36 @@ def class_handles(classes: FaceClasses, shown: Iterable[int]) -> list[Artist]:
         return handles
     more = len(handles) - _MOST_ENTRIES
     return [*handles[:_MOST_ENTRIES], Line2D([], [], linestyle="none", label=f"and {more} more")]
+
+
+@dataclass(frozen=True)
+class _Row:
+    """Panels beside each other; all sizes in pixels."""
+
+    panels: tuple[Panel, ...]
+    titles: tuple[str, ...]
+    width: float
+    height: float
+    head: float
+
+    @property
+    def whole(self) -> float:
+        return self.head + self.height + _AXIS_PX
+
+
+def _rows(page: Page) -> list[_Row]:
+    wide = 2 if len(page.panels) > 1 and page.panels[0].ratio > 0.6 else 1
+    narrow = 2 if len(page.small) in (1, 2, 4) else 3
+    result = []
+    for panels, columns in ((page.panels, wide), (page.small, narrow)):
+        width = (WIDTH_PX - _SIDE_PX - _RIGHT_PX - (columns - 1) * _GAP_PX) / columns
+        for start in range(0, len(panels), columns):
+            row = panels[start : start + columns]
+            titles = tuple(_wrapped(panel.title, width) for panel in row)
+            height = min(width * max(panel.ratio for panel in row), _MOST_PANEL_PX)
+            head = _PANEL_TITLE_PX + _LINE_PX * max(title.count("\n") for title in titles)
+            result.append(_Row(row, titles, width, height, head))
+    return result
 
 
 def _draw_panel(

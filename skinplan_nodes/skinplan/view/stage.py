@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from skinplan.scanner.rays import RayCaster
 from skinplan.transforms import Array
-from skinplan.view.camera import ParallelView, front_view, raised_view
+from skinplan.view.camera import ParallelView, front_view, is_upside_down, raised_view
 from skinplan.view.display_mesh import DisplayMesh, refined
 from skinplan.view.raster import Light, Raster, coloured, rasterise, smaller
 from skinplan.view.subject import Subject
@@ -37,13 +37,15 @@ class Stage:
 
     @cached_property
     def front(self) -> Raster:
-        """From the front, with several pixels for each pixel of the picture."""
-        return self._raster(lambda width: front_view(self.subject.mesh, width))
+        """From the front, as it stands in the shop; several pixels for one of the picture."""
+        return self._raster(lambda width: front_view(self.subject.mesh, width, self._turned))
 
     @cached_property
     def raised(self) -> Raster:
         """From above the front."""
-        return self._raster(lambda width: raised_view(self.subject.mesh, width))
+        return self._raster(
+            lambda width: raised_view(self.subject.mesh, width, turned=self._turned)
+        )
 
     def image(
         self, raster: Raster, face_colours: Array, relief: float = _RELIEF
@@ -83,6 +85,10 @@ class Stage:
             float(min(bottom, low[1])),
             float(max(top, high[1])),
         )
+
+    @cached_property
+    def _turned(self) -> bool:
+        return is_upside_down(self.subject.mesh, self.subject.T_map_workpiece)
 
     @cached_property
     def _caster(self) -> RayCaster:

@@ -46,6 +46,12 @@ class Subject:
     T_map_workpiece: Array = field(default_factory=lambda: np.eye(4))
     cell: CellConfig = field(default_factory=CellConfig)
 
+    @property
+    def T_map_tracker(self) -> Array:
+        """The tracker that the stations were planned for, or else the cell's, shape (4, 4) [m]."""
+        planned = None if self.station_plan is None else self.station_plan.T_map_tracker
+        return self.cell.T_map_tracker if planned is None else planned
+
     def station_of_points(self) -> NDArray[np.int64]:
         """Returns the place of each point's station in the order of visit, shape (n,).
 
