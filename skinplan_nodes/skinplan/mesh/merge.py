@@ -5,16 +5,7 @@ from numpy.typing import NDArray
 
 from skinplan.transforms import Array
 
-_FACTORS = tuple(
-    np.uint64(factor)
-    for factor in (
-        0x9E3779B97F4A7C15,
-        0xC2B2AE3D27D4EB4F,
-        0x165667B19E3779F9,
-        0xBF58476D1CE4E5B9,
-        0x94D049BB133111EB,
-    )
-)
+_FACTORS = (np.uint64(0xBF58476D1CE4E5B9), np.uint64(0x94D049BB133111EB))
 
 
 def merge_vertices(vertices: Array, faces: NDArray[np.int64]) -> tuple[Array, NDArray[np.int64]]:
@@ -43,13 +34,16 @@ def _keys(points: Array) -> NDArray[np.uint64]:
     Two points may share a number by chance; the caller looks.
     """
     words = points.view(np.uint64)
-    keys = words[:, 0] * _FACTORS[0] ^ words[:, 1] * _FACTORS[1]
-    keys ^= keys >> np.uint64(29)
-    keys *= _FACTORS[3]
-    keys += words[:, 2] * _FACTORS[2]
-    keys ^= keys >> np.uint64(32)
-    keys *= _FACTORS[4]
-    return keys
+    keys = np.zeros(len(points), dtype=np.uint64)
+    for axis in range(3):
+        keys ^= words[:, axis]
+        # Numbers that were single precision end in zeros: their high half has to come down before
+        # it is multiplied, or most of what tells points apart is lost.
+        keys ^= keys >> np.uint64(32)
+        keys *= _FACTORS[0]
+        keys ^= keys >> np.uint64(29)
+        keys *= _FACTORS[1]
+    return keys ^ (keys >> np.uint64(32))
 
 
 def _groups(keys: NDArray[np.uint64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
