@@ -71,7 +71,7 @@ class BrowserView:
     def wait(self) -> None:
         """Serves until the process is told to end: Ctrl+C, or SIGTERM in the main thread."""
         ended = threading.Event()
-        with _on_terminate(ended):
+        with _on_signals(ended):
             try:
                 # A wait without end would not notice Ctrl+C on every system.
                 while not ended.wait(0.5):
@@ -149,15 +149,19 @@ def _quiet() -> Iterator[None]:
 
 
 @contextmanager
-def _on_terminate(ended: threading.Event) -> Iterator[None]:
+def _on_signals(ended: threading.Event) -> Iterator[None]:
+    """Ends on SIGINT and SIGTERM, also where a shell's ``&`` has made the process ignore SIGINT."""
+
     def end(_number: int, _frame: FrameType | None) -> None:
         ended.set()
 
     if threading.current_thread() is not threading.main_thread():
         yield
         return
-    before = signal.signal(signal.SIGTERM, end)
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = [signal.signal(number, end) for number in numbers]
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, before)
+        for number, handler in zip(numbers, before, strict=True):
+            signal.signal(number, handler)
