@@ -80,6 +80,11 @@ def test_fixture_placement_and_scan_may_be_left_out(part):
         (lambda v: v["scan"].update(row_direction=[0, 0, 0]), ["scan.row_direction"]),
         (lambda v: v["scan"].update(range_min_m=0.5), ["scan.range_min_m"]),
         (lambda v: v["scan"].update(clearance_m=0.3), ["scan.clearance_m", "standoff_m"]),
+        (lambda v: v["scan"].update(field_margin_m=0.12), ["scan.field_margin_m", "0.1"]),
+        (
+            lambda v: v["scan"].update(incidence_margin_rad=0.5, incidence_max_rad=0.3),
+            ["scan.incidence_margin_rad", "incidence_max_rad, 0.3"],
+        ),
         (lambda v: v["scan"].update(field_of_view="box"), ["scan.field_of_view", "'box'", "cone"]),
         (lambda v: v["scan"].update(field_of_view=2), ["scan.field_of_view", "cylinder or cone"]),
         (lambda v: v["scan"].update(least_views=0), ["scan.least_views", "0", "from 1 to 1000"]),

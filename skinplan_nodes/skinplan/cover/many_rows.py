@@ -129,7 +129,8 @@ def _searched(
 ) -> Indices:
     """Searches for a lighter cover: frees neighbouring columns and covers their rows anew.
 
-    Each small problem is solved exactly over the rows in play; what that leaves short is filled.
+    Each small problem goes to HiGHS over the rows in play, with the columns that the relaxation
+    likes best and a limit on its nodes; what that leaves short is filled greedily.
     """
     searches, centre, still = 0, 0, 0
     while searches < _MOST_SEARCHES and still < len(best):

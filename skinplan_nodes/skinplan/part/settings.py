@@ -125,6 +125,19 @@ def _check_together(settings: ScanSettings, fields: Fields) -> None:
             f"{settings.standoff_m:g}",
             f"inside the scanner's range, {settings.range_min_m:g} to {settings.range_max_m:g} m",
         )
+    room = min(settings.field_radius_m, (settings.range_max_m - settings.range_min_m) / 2)
+    if settings.field_margin_m >= room:
+        raise fields.error(
+            "field_margin_m",
+            f"{settings.field_margin_m:g}",
+            f"less than field_radius_m and than half the scanner's range, {room:g}",
+        )
+    if settings.incidence_margin_rad >= settings.incidence_max_rad:
+        raise fields.error(
+            "incidence_margin_rad",
+            f"{settings.incidence_margin_rad:g}",
+            f"less than incidence_max_rad, {settings.incidence_max_rad:g}",
+        )
     if settings.clearance_m >= settings.standoff_m:
         raise fields.error(
             "clearance_m",

@@ -22,9 +22,9 @@ from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.strategies import chosen
 from skinplan.trajectory.assemble import collision_edges, timed_segments
-from skinplan.trajectory.model import StationTrajectory
+from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.trajectory.order import published_order
-from skinplan.trajectory.search import Problem, Search
+from skinplan.trajectory.search import Problem, Search, Way
 from skinplan.trajectory.timing import Limits
 from skinplan.transforms import Array, inverse, require_transform
 
@@ -104,6 +104,33 @@ def plan_station_trajectory(
     tell(0.2, "joint branches")
     search = Search(problem, np.searchsorted(points, order), reached)
     limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
+    way, segments = _timed_way(search, world, points, limits, station_id, tell)
+    reasons = {
+        int(points[view]): reason for view, reason in (reached.reasons | way.dropped).items()
+    }
+    skipped = tuple(SkippedPoint(point, reasons[point]) for point in sorted(reasons))
+    result = StationTrajectory(station_id, tuple(segments), skipped)
+    _LOG.info(
+        "station %d: %d points, %d skipped, %d breaks, scan %.1f s, transit %.1f s",
+        station_id, len(way.points), len(skipped), result.breaks, result.scan_s, result.transit_s,
+    )  # fmt: skip
+    tell(1.0, "done")
+    return result
+
+
+def _timed_way(
+    search: Search,
+    world: CollisionWorld,
+    points: NDArray[np.int64],
+    limits: Limits,
+    station_id: int,
+    tell: Progress,
+) -> tuple[Way, list[Segment]]:
+    """Searches a way and times it, anew without the edges that collide between their ends.
+
+    Raises:
+        NoTrajectoryError: No point is left.
+    """
     for repair in itertools.count():
         way = search.run()
         if not len(way.points):
@@ -120,17 +147,7 @@ def plan_station_trajectory(
                 search.forbid(way, edge)
             else:  # other ways were tried often enough: the point goes, so that this ends
                 search.drop_after(way, edge)
-    reasons = {
-        int(points[view]): reason for view, reason in (reached.reasons | way.dropped).items()
-    }
-    skipped = tuple(SkippedPoint(point, reasons[point]) for point in sorted(reasons))
-    result = StationTrajectory(station_id, tuple(segments), skipped)
-    _LOG.info(
-        "station %d: %d points, %d skipped, %d breaks, scan %.1f s, transit %.1f s",
-        station_id, len(way.points), len(skipped), result.breaks, result.scan_s, result.transit_s,
-    )  # fmt: skip
-    tell(1.0, "done")
-    return result
+    return way, segments
 
 
 def plan_trajectories(
