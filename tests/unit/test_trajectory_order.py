@@ -11,6 +11,7 @@ from skinplan.trajectory.order import (
     published_order,
     z_shaped,
 )
+from skinplan.trajectory.visit import VisitTask
 from skinplan.transforms import Array, apply, rotate, transform
 
 DOWN = np.array([0.0, 0.0, -1.0])
@@ -28,6 +29,10 @@ def mixed(seed=0, features=60):
         np.append(rows.kinds, np.full(features, FEATURE)),
         np.append(rows.groups, 1 + np.arange(features) % 2),
     )
+
+
+def order_of(path, points, interval_m, begin=None):
+    return published_order(VisitTask(path, points, interval_m, begin)).points
 
 
 def score(previous, move, view, d0: float = 0.24) -> Array:
@@ -95,7 +100,7 @@ def test_few_row_points(count):
 def test_every_point_comes_once_and_features_follow_their_nearest_row_point():
     path = mixed()
     points = np.arange(len(path))[3:]
-    order = published_order(path, points, 0.08)
+    order = order_of(path, points, 0.08)
     assert sorted(order) == points.tolist()
     kinds = path.kinds[order]
     starts = np.flatnonzero((kinds[1:] == FEATURE) & (kinds[:-1] == ROW))
@@ -115,7 +120,7 @@ def test_without_rows_the_clusters_are_visited_all_the_same():
     path = mixed()
     features = np.flatnonzero(path.kinds == FEATURE)
     for begin in (None, np.array([1.0, 0.0, 0.3])):
-        assert sorted(published_order(path, features, 0.08, begin)) == features.tolist()
+        assert sorted(order_of(path, features, 0.08, begin)) == features.tolist()
 
 
 def test_the_order_does_not_depend_on_the_frame():
@@ -124,8 +129,8 @@ def test_the_order_does_not_depend_on_the_frame():
     moved = path_of(apply(T, path.targets), rotate(T, path.directions), path.kinds, path.groups)
     points = np.arange(len(path))
     begin = np.array([-0.9, -0.5, 0.3])
-    a = published_order(path, points, 0.08, begin)
-    assert np.array_equal(a, published_order(moved, points, 0.08, apply(T, begin[None])[0]))
+    a = order_of(path, points, 0.08, begin)
+    assert np.array_equal(a, order_of(moved, points, 0.08, apply(T, begin[None])[0]))
 
 
 def test_k_means_separates_what_is_apart_and_has_no_empty_clusters():

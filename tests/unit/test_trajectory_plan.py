@@ -20,6 +20,7 @@ from skinplan.mesh.segment import segment_mesh
 from skinplan.part.defaults import default_placement
 from skinplan.part.model import ScanSettings
 from skinplan.part.samples import write_sample
+from skinplan.robot.arm import ArmModel
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import FEATURE
 from skinplan.scan_path.plan import plan_scan_path
@@ -28,7 +29,7 @@ from skinplan.trajectory.cycle import cycle_time
 from skinplan.trajectory.model import SCAN as SCANNING
 from skinplan.trajectory.model import TRANSIT
 from skinplan.trajectory.plan import plan_station_trajectory, plan_trajectories
-from skinplan.transforms import planar
+from skinplan.transforms import inverse, planar
 
 CELL = CellConfig()
 SCAN = ScanSettings()
@@ -55,6 +56,17 @@ def test_a_flat_panel_is_scanned_whole_and_nothing_is_wrong_with_it():
     kinds = [s.kind for s in found.segments]
     assert kinds == [TRANSIT, SCANNING, TRANSIT]
     assert all(len(s.points) == 0 for s in found.segments if s.kind == TRANSIT)
+
+
+def test_the_time_of_each_point_is_when_the_scanner_is_there():
+    found = plan()
+    segment = found.segments[1]
+    assert segment.point_s.shape == segment.points.shape
+    assert segment.point_s[0] == 0.0 and segment.point_s[-1] == pytest.approx(segment.duration_s)
+    assert np.all(np.diff(segment.point_s) > 0.0)
+    q = np.stack([np.interp(segment.point_s, segment.times, c) for c in segment.positions.T], 1)
+    there = (inverse(T) @ ArmModel.load(CELL).forward_scanner(q))[:, :3, 3]
+    assert np.linalg.norm(there - PATH.positions[segment.points], axis=1).max() < 2e-3
 
 
 def test_rows_are_driven_near_the_speed_limit():

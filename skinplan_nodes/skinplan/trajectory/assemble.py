@@ -36,9 +36,9 @@ def timed_segments(
     first = 0  # its first point
 
     def finish(last: int) -> None:
-        timed, edge = _time_run(arm, way, run, first, limits)
+        timed, edge, point_s = _time_run(arm, way, run, first, limits)
         passed = points[way.points[first : last + 1]]
-        segments.append(_segment(arm, SCAN, timed, passed))
+        segments.append(_segment(arm, SCAN, timed, passed, point_s))
         places.append(edge)
 
     for number, edge in enumerate(way.edges):
@@ -49,7 +49,8 @@ def timed_segments(
             finish(number - 1)
         legs = [_time_leg(arm, leg, free) for leg in edge]
         if legs:
-            segments.append(_segment(arm, TRANSIT, _joined(legs), np.zeros(0, dtype=np.int64)))
+            none = np.zeros(0, dtype=np.int64)
+            segments.append(_segment(arm, TRANSIT, _joined(legs), none, np.zeros(0)))
             places.append(np.full(len(segments[-1].times), number))
         run, first = [], number
     return segments, places
@@ -82,19 +83,23 @@ def _dense(
 
 def _time_run(
     arm: ArmModel, way: Way, run: list[int], first: int, limits: Limits
-) -> tuple[Timed, NDArray[np.int64]]:
+) -> tuple[Timed, NDArray[np.int64], Array]:
+    """Times one scan segment: its motion, the edge of each sample, when points are passed."""
     pieces = [np.asarray(way.edges[number]) for number in run]
     if not pieces:
-        return rest(way.states[first]), np.full(2, first)
+        return rest(way.states[first]), np.full(2, first), np.zeros(1)
     owner = np.concatenate([np.full(len(p) - 1, n) for n, p in zip(run, pieces, strict=True)])
     q = np.vstack([pieces[0][:1], *(piece[1:] for piece in pieces)])
     # Coincident points make steps without length: one of each pair is enough.
     moving = np.append(True, np.abs(np.diff(q, axis=0)).max(axis=1) > 1e-9)
+    steps = np.cumsum([0, *(len(piece) - 1 for piece in pieces)])
+    step = np.cumsum(moving)[steps] - 1  # where on the path the points are
     q, owner = q[moving], owner[moving[1:]]
     if len(q) < 2:
-        return rest(way.states[first]), np.full(2, run[0])
+        return rest(way.states[first]), np.full(2, run[0]), np.zeros(len(step))
     timed = time_path(arm, q, limits)
-    return timed, owner[np.clip(timed.path.astype(int), 0, len(owner) - 1)]
+    edges = owner[np.clip(timed.path.astype(int), 0, len(owner) - 1)]
+    return timed, edges, np.interp(step, timed.path, timed.times)
 
 
 def _time_leg(arm: ArmModel, leg: Array, limits: Limits) -> Timed:
@@ -119,7 +124,9 @@ def _joined(legs: list[Timed]) -> Timed:
     )
 
 
-def _segment(arm: ArmModel, kind: int, timed: Timed, points: NDArray[np.int64]) -> Segment:
+def _segment(
+    arm: ArmModel, kind: int, timed: Timed, points: NDArray[np.int64], point_s: Array
+) -> Segment:
     return Segment(
         kind,
         timed.times,
@@ -127,4 +134,5 @@ def _segment(arm: ArmModel, kind: int, timed: Timed, points: NDArray[np.int64]) 
         timed.velocities,
         points,
         tcp_length(arm, timed.positions),
+        point_s,
     )

@@ -1,6 +1,6 @@
 """Trajectories, as the rooms exchange them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,8 @@ class Segment:
         velocities: Joint velocities, shape (t, 6) [rad/s].
         points: Indices of the scan path points passed, in the order of visit; empty for TRANSIT.
         tcp_path_m: Length of the scanner's way [m].
+        point_s: When each of the points is passed, from the segment's start, not falling, shape
+            (len(points),) [s].
     """
 
     kind: int
@@ -31,6 +33,7 @@ class Segment:
     velocities: Array
     points: NDArray[np.int64]
     tcp_path_m: float
+    point_s: Array = field(default_factory=lambda: np.zeros(0))
 
     @property
     def duration_s(self) -> float:

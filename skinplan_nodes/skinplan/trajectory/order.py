@@ -7,10 +7,10 @@ a second time. k of eq (8) is per millimetre.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
 from skinplan.scan_path.model import FEATURE, ROW, ScanPath
+from skinplan.trajectory.visit import Indices, VisitOrder, VisitTask
 from skinplan.transforms import Array
 
 CLUSTER_POINTS = 25
@@ -18,24 +18,13 @@ WEIGHT = 0.9
 STEEPNESS_PER_MM = 0.02
 _ITERATIONS = 100
 
-Indices = NDArray[np.int64]
+
+def published_order(task: VisitTask) -> VisitOrder:
+    """Orders the points of one station; d0 of eq (8) is three times d_interval."""
+    return VisitOrder(_published(task.path, task.points, task.interval_m, task.begin))
 
 
-def published_order(
-    path: ScanPath, points: Indices, interval_m: float, begin: Array | None = None
-) -> Indices:
-    """Orders the points of one station.
-
-    Args:
-        path: The scan path.
-        points: Indices of the station's points, shape (p,).
-        interval_m: d_interval; d0 of eq (8) is three times that [m].
-        begin: Where the scanner comes from, in the workpiece frame, shape (3,) [m]; None = no
-            preference.
-
-    Returns:
-        The same indices in the order of visit, shape (p,).
-    """
+def _published(path: ScanPath, points: Indices, interval_m: float, begin: Array | None) -> Indices:
     points = np.sort(np.asarray(points, dtype=np.int64))
     rows = z_shaped(path, points[path.kinds[points] == ROW], begin)
     features = points[path.kinds[points] == FEATURE]

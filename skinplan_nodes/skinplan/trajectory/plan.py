@@ -26,12 +26,13 @@ from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.trajectory.order import published_order
 from skinplan.trajectory.search import Problem, Search, Way
 from skinplan.trajectory.timing import Limits
-from skinplan.transforms import Array, inverse, require_transform
+from skinplan.trajectory.visit import VisitOrder, VisitTask
+from skinplan.transforms import Array, apply, inverse, require_transform
 
 _LOG = logging.getLogger(__name__)
 _REPAIRS = 12
 
-Order = Callable[[ScanPath, NDArray[np.int64], float, Array | None], NDArray[np.int64]]
+Order = Callable[[VisitTask], VisitOrder]
 Progress = Callable[[float, str], None]
 
 STRATEGIES: dict[str, Order] = {"published": published_order}
@@ -99,10 +100,11 @@ def plan_station_trajectory(
             f"station {station_id}: none of the {len(points)} points can be scanned; "
             f"the first one: {reached.reasons.get(0, 'no point was asked for')}"
         )
-    here = inverse(T_arm_base_workpiece) @ world.arm.forward_scanner(problem.start[None])[0]
-    order = order_of(path, points[seen], settings.row_interval_m, here[:3, 3])
+    ends = world.arm.forward_scanner(np.stack([problem.start, problem.home]))[:, :3, 3]
+    begin, end = apply(inverse(T_arm_base_workpiece), ends)
+    order = order_of(VisitTask(path, points[seen], settings.row_interval_m, begin, end))
     tell(0.2, "joint branches")
-    search = Search(problem, np.searchsorted(points, order), reached)
+    search = Search(problem, np.searchsorted(points, order.points), reached)
     limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
     way, segments = _timed_way(search, world, points, limits, station_id, tell)
     reasons = {
