@@ -66,6 +66,8 @@ class ScanSettings:
         tilt_max_rad: Largest tilt of a view direction for reach or clearance.
         clearance_m: Least distance between the scanner's origin and the part [m].
         tcp_speed_m_s: Speed limit of the scanner while scanning [m/s].
+        tour_effort_s: Order strategy ``tour``: about how long it searches at each station [s]. It
+            is counted in moves looked at, so the plan does not depend on the machine.
         field_of_view: ``cylinder`` (the paper's) or ``cone`` (that it simplifies; r_f is the
             radius of its section at d_min).
         least_views: Number of views that each place of the surface should be seen by.
@@ -88,6 +90,7 @@ class ScanSettings:
     tilt_max_rad: float = 0.2617993877991494
     clearance_m: float = 0.15
     tcp_speed_m_s: float = 0.2
+    tour_effort_s: float = 1.5
     field_of_view: str = "cylinder"
     least_views: int = 3
     incidence_margin_rad: float = 0.05235987755982988

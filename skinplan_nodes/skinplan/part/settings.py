@@ -34,6 +34,7 @@ _NUMBERS = {
     "tilt_max_rad": _Bound(0.0, math.pi / 3, "rad"),
     "clearance_m": _Bound(0.0, 5.0, "m"),
     "tcp_speed_m_s": _Bound(0.001, 5.0, "m/s"),
+    "tour_effort_s": _Bound(0.0, 600.0, "s"),
     "incidence_margin_rad": _Bound(0.0, 0.5, "rad"),
     "field_margin_m": _Bound(0.0, 0.5, "m"),
 }

@@ -91,6 +91,7 @@ class ArmModel:
         self.velocity: Array = np.minimum(model.velocityLimit, cell.velocity_max_rad_s)
         self.T_tool0_scanner = cell.T_tool0_scanner
         self._read_chain()
+        self._levers = self._lever_arms()
 
     @classmethod
     def load(cls, cell: CellConfig) -> "ArmModel":
@@ -225,6 +226,9 @@ class ArmModel:
 
     def lever_arms(self) -> Array:
         """Returns how far from each joint's axis anything behind it can be at most, (6,) [m]."""
+        return self._levers
+
+    def _lever_arms(self) -> Array:
         far = np.linalg.norm(self.T_tool0_scanner[:3, 3]) + np.linalg.norm(self._T_6_tool0[:3, 3])
         result = np.empty(6)
         for joint in range(5, -1, -1):

@@ -150,6 +150,23 @@ class CollisionWorld:
         count = max(1, int(np.ceil(way / self.step_m)))
         return np.asarray(q_from + np.linspace(0.0, 1.0, count + 1)[:, None] * (q_to - q_from))
 
+    def dense(self, q: Array) -> tuple[Array, NDArray[np.int64]]:
+        """Adds joint positions on the straight joint motions between neighbours, as `between` does.
+
+        Args:
+            q: Joint positions on a path, shape (k >= 1, 6) [rad].
+
+        Returns:
+            Joint positions, the given ones among them, shape (n, 6) [rad], and the step of the path
+            that each lies on, shape (n,).
+        """
+        way = np.abs(np.diff(q, axis=0)) @ self.arm.lever_arms()
+        count = np.maximum(np.ceil(way / self.step_m), 1).astype(np.int64)
+        owner = np.repeat(np.arange(len(count)), count)
+        share = (np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / count[owner]
+        between = q[owner] + share[:, None] * (q[owner + 1] - q[owner])
+        return np.vstack([between, q[-1:]]), np.append(owner, max(len(q) - 2, 0))
+
     def segment_codes(
         self, segments: Array, T_part_arm: Array | None, T_map_arm: Array | None
     ) -> Codes:

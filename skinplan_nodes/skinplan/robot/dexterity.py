@@ -26,6 +26,9 @@ class Dexterity:
 
     def __init__(self, arm: ArmModel) -> None:
         origins, axes = joint_lines(arm)
+        self._arm = arm
+        # Across the first two axes, in the frame that turns with the first joint.
+        self._before = arm.links(np.zeros((1, 6)))[0, 1, :3, :3].T @ np.cross(axes[0], axes[1])
         self.has_elbow = bool(np.linalg.norm(np.cross(axes[1], axes[2])) < _PARALLEL)
         upper = origins[2] - origins[1]
         # Where joint 4 is parallel too its axis is the forearm's end, else the wrist's centre is.
@@ -38,6 +41,12 @@ class Dexterity:
         across4, across6 = a4 - (a4 @ a5) * a5, a6 - (a6 @ a5) * a5
         self._across = float(np.linalg.norm(across4) * np.linalg.norm(across6))
         self._wrist_phase = _angle_about(a5, across4, across6)
+
+    def shoulder(self, q: Array) -> Array:
+        """Returns how far the wrist is before (+) or behind (-) the first axis, shape (n,) [m]."""
+        frames = self._arm.links(q)
+        gap = frames[:, 5, :3, 3] - frames[:, 1, :3, 3]
+        return np.asarray(np.einsum("ni,ni->n", gap, frames[:, 1, :3, :3] @ self._before))
 
     def elbow(self, q: Array) -> Array:
         """Returns the elbow's measure of joint positions, (n, 6) [rad], in [0, 1], shape (n,)."""
@@ -53,6 +62,20 @@ class Dexterity:
     def measure(self, q: Array) -> Array:
         """Returns the smaller of both, shape (n,)."""
         return np.minimum(self.elbow(q), self.wrist(q))
+
+    def branches(self, q: Array) -> NDArray[np.int64]:
+        """Returns a number for the sides of the singular positions that q are on, shape (n,).
+
+        Positions with different numbers can't be joined without passing a singular position of
+        shoulder, elbow or wrist.
+        """
+        result = np.asarray(4 * (self.shoulder(q) > 0.0), dtype=np.int64)
+        if self.has_elbow:
+            result += np.sin(q[:, 2] + self._elbow_phase) > 0.0
+        if abs(self._along) < _PARALLEL:
+            # The sine's zeros are the singular positions only where axis 5 is across both others.
+            result += 2 * (np.sin(q[:, 4] + self._wrist_phase) > 0.0)
+        return result
 
     def clear(self, q: Array) -> NDArray[np.bool_]:
         """Tells which joint positions are far enough from singular ones, shape (n,)."""

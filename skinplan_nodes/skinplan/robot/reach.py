@@ -19,6 +19,7 @@ from skinplan.transforms import Array, apply, rotate
 _ROLLS = 8
 _TILT_SIDES = 16
 _TILT_SHARES = (0.5, 1.0)
+_AGREEMENT = 1e-9  # [m, 1]
 _NO_SOLUTION = "out of the arm's reach: no inverse kinematics"
 _LIMITS = "joint limits"
 
@@ -55,12 +56,14 @@ class Views:
             mean_direction(turned),
         )
 
-    def tilted(self, which: NDArray[np.int64], angle_rad: float) -> "Views":
-        """Returns the chosen views tilted about their targets, to 16 sides each."""
-        directions = tilted(self.directions[which], angle_rad, _TILT_SIDES)
+    def tilted(
+        self, which: NDArray[np.int64], angle_rad: float, sides: int = _TILT_SIDES
+    ) -> "Views":
+        """Returns the chosen views tilted about their targets, to some sides each."""
+        directions = tilted(self.directions[which], angle_rad, sides)
         distance = np.linalg.norm(self.targets[which] - self.positions[which], axis=1)
         positions = self.targets[which][:, None] - distance[:, None, None] * directions
-        targets = np.repeat(self.targets[which], _TILT_SIDES, axis=0)
+        targets = np.repeat(self.targets[which], sides, axis=0)
         return Views(positions.reshape(-1, 3), directions.reshape(-1, 3), targets, self.reference)
 
 
@@ -133,6 +136,45 @@ def solve_views(
     if arm.tool_axis_is_view:
         branches[:, :, 5] = np.where(valid, home[5], np.nan)
     return branches, valid
+
+
+def nearest_solutions(
+    arm: ArmModel,
+    positions: Array,
+    directions: Array,
+    rolls: Array,
+    reference: Array,
+    home: Array,
+    near: Array,
+) -> Array:
+    """Returns for views the solutions nearest to joint positions, shape (n, 6) [rad].
+
+    Windings are chosen near to them, too; only the chosen branch is checked against the forward
+    kinematics. NaN where there is none.
+
+    Args:
+        arm: The arm.
+        positions: Scanner origins, shape (n, 3) [m].
+        directions: Unit view directions, shape (n, 3).
+        rolls: Roll from the reference direction, shape (n,) [rad].
+        reference: Unit direction that rolls are counted from, shape (3,).
+        home: Home joint positions, shape (6,) [rad].
+        near: Joint positions, shape (n, 6) [rad].
+    """
+    poses = tool_poses(positions, directions, rolls, arm.T_tool0_scanner, reference)
+    branches = arm.unchecked_inverse(poses)
+    if arm.tool_axis_is_view:
+        branches[:, :, 5] = np.where(np.isfinite(branches[:, :, 0]), home[5], np.nan)
+    options = nearest_winding(branches, near[:, None])
+    gaps = np.abs(options - near[:, None]).max(axis=2)
+    gaps[np.isnan(gaps)] = np.inf
+    chosen = np.array(options[np.arange(len(near)), np.argmin(gaps, axis=1)])
+    found = np.flatnonzero(np.isfinite(chosen[:, 0]))
+    frames = arm.forward_scanner(chosen[found])
+    off = np.abs(frames[:, :3, 3] - positions[found]).max(axis=1, initial=0.0)
+    turned = np.abs(frames[:, :3, 0] - directions[found]).max(axis=1, initial=0.0)
+    chosen[found[np.maximum(off, turned) > _AGREEMENT]] = np.nan
+    return chosen
 
 
 def nearest_winding(q: Array, centre: Array) -> Array:

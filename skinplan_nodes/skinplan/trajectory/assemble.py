@@ -10,6 +10,7 @@ from skinplan.robot.collision import CollisionWorld
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment
 from skinplan.trajectory.search import Way
 from skinplan.trajectory.timing import Limits, Timed, rest, tcp_length, time_line, time_path
+from skinplan.trajectory.transit import Transit
 from skinplan.transforms import Array
 
 _LOG = logging.getLogger(__name__)
@@ -42,12 +43,12 @@ def timed_segments(
         places.append(edge)
 
     for number, edge in enumerate(way.edges):
-        if not isinstance(edge, list):
+        if not isinstance(edge, Transit):
             run.append(number)
             continue
         if number > 0:
             finish(number - 1)
-        legs = [_time_leg(arm, leg, free) for leg in edge]
+        legs = [_time_leg(arm, leg, free) for leg in edge.legs]
         if legs:
             none = np.zeros(0, dtype=np.int64)
             segments.append(_segment(arm, TRANSIT, _joined(legs), none, np.zeros(0)))
@@ -62,23 +63,12 @@ def collision_edges(
     """Checks every sample, and in between where bodies move far; returns edges that collide."""
     bad: set[int] = set()
     for segment, edges in zip(segments, places, strict=True):
-        q, edge = _dense(world, segment.positions, edges)
+        q, step = world.dense(segment.positions)
         free = world.free(q)
-        bad.update(edge[~free].tolist())
+        bad.update(edges[step[~free]].tolist())
     if bad:
         _LOG.debug("timed edges %s collide", sorted(bad))
     return sorted(bad)
-
-
-def _dense(
-    world: CollisionWorld, q: Array, edges: NDArray[np.int64]
-) -> tuple[Array, NDArray[np.int64]]:
-    way = np.abs(np.diff(q, axis=0)) @ world.arm.lever_arms()
-    count = np.maximum(np.ceil(way / world.step_m), 1).astype(int)
-    owner = np.repeat(np.arange(len(count)), count)
-    share = (np.arange(len(owner)) - (np.cumsum(count) - count)[owner]) / count[owner]
-    between = q[owner] + share[:, None] * (q[owner + 1] - q[owner])
-    return np.vstack([between, q[-1:]]), np.append(edges[owner], edges[-1])
 
 
 def _time_run(

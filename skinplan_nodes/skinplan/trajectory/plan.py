@@ -3,7 +3,7 @@
 import itertools
 import logging
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,25 +17,33 @@ from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.robot.cell import CellConfig
 from skinplan.robot.collision import CollisionWorld
-from skinplan.robot.reach import Views, reach
+from skinplan.robot.dexterity import Dexterity
+from skinplan.robot.reach import Views
+from skinplan.robot.tracker import TrackerSight
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.strategies import chosen
 from skinplan.trajectory.assemble import collision_edges, timed_segments
+from skinplan.trajectory.graph import Problem, StationGraph
 from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.trajectory.order import published_order
-from skinplan.trajectory.search import Problem, Search, Way
+from skinplan.trajectory.search import NO_MOTION, Search, Way
+from skinplan.trajectory.states import find_states
 from skinplan.trajectory.timing import Limits
+from skinplan.trajectory.tour_order import tour_order
+from skinplan.trajectory.transit import Transit
 from skinplan.trajectory.visit import VisitOrder, VisitTask
 from skinplan.transforms import Array, apply, inverse, require_transform
 
 _LOG = logging.getLogger(__name__)
 _REPAIRS = 12
+_REORDERS = 6  # at most so often an order strategy is asked again with more known
+_TCP_ACCELERATION = 3.0  # about what the arm gives the scanner [m/s^2]: prices turns in a tour
 
 Order = Callable[[VisitTask], VisitOrder]
 Progress = Callable[[float, str], None]
 
-STRATEGIES: dict[str, Order] = {"published": published_order}
+STRATEGIES: dict[str, Order] = {"published": published_order, "tour": tour_order}
 
 
 def plan_station_trajectory(
@@ -50,6 +58,7 @@ def plan_station_trajectory(
     progress: Progress | None = None,
     is_cancelled: Callable[[], bool] | None = None,
     T_arm_base_map: Array | None = None,
+    T_map_tracker: Array | None = None,
 ) -> StationTrajectory:
     """Plans everything that the arm does at one station.
 
@@ -64,8 +73,9 @@ def plan_station_trajectory(
         start: Joint positions that the arm is in, shape (6,) [rad]; None = home.
         progress: Told the share done and what is being done.
         is_cancelled: Asked now and then.
-        T_arm_base_map: Shop in the arm base, shape (4, 4) [m]: where the cell's obstacles are;
-            None = they are left out.
+        T_arm_base_map: Shop in the arm base, shape (4, 4) [m]: where the cell's obstacles and the
+            tracker are; None = they are left out.
+        T_map_tracker: Tracker in the shop, shape (4, 4) [m]; None = the cell's.
 
     Returns:
         Segments from the start to home; each begins where the one before ends, at rest. Points that
@@ -87,69 +97,112 @@ def plan_station_trajectory(
         require_transform(T_arm_base_workpiece, "T_arm_base_workpiece"),
         T_arm_base_map,
     )
-    problem = _problem(world, settings, cell, path, points, start, tell, is_cancelled)
     tell(0.05, "inverse kinematics")
     views = Views.placed(
         path.positions[points], path.directions[points], path.targets[points], T_arm_base_workpiece
     )
-    problem = replace(problem, reference=views.reference)
-    reached = reach(world, views, settings.tilt_max_rad, problem.home)
-    seen = np.unique(reached.view)
+    problem = _problem(world, views, settings, cell, start, tell, is_cancelled)
+    sight, T_map_arm = None, None
+    if T_arm_base_map is not None:
+        T_map_arm = inverse(T_arm_base_map)
+        sight = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker)
+    states = find_states(
+        world, problem.dexterity, views, settings.tilt_max_rad, problem.home, sight, T_map_arm
+    )
+    seen = np.unique(states.view)
     if not len(seen):
         raise NoTrajectoryError(
             f"station {station_id}: none of the {len(points)} points can be scanned; "
-            f"the first one: {reached.reasons.get(0, 'no point was asked for')}"
+            f"the first one: {states.reasons.get(0, 'no point was asked for')}"
         )
+    tell(0.2, "joint branches")
+    graph = StationGraph(problem, states)
     ends = world.arm.forward_scanner(np.stack([problem.start, problem.home]))[:, :3, 3]
     begin, end = apply(inverse(T_arm_base_workpiece), ends)
-    order = order_of(VisitTask(path, points[seen], settings.row_interval_m, begin, end))
-    tell(0.2, "joint branches")
-    search = Search(problem, np.searchsorted(points, order.points), reached)
+    task = VisitTask(
+        path,
+        points[seen],
+        settings.row_interval_m,
+        begin,
+        end,
+        among=points,
+        graph=graph,
+        effort_s=settings.tour_effort_s,
+        tcp_turn_s=settings.tcp_speed_m_s / _TCP_ACCELERATION,
+    )
     limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
-    way, segments = _timed_way(search, world, points, limits, station_id, tell)
-    reasons = {
-        int(points[view]): reason for view, reason in (reached.reasons | way.dropped).items()
-    }
-    skipped = tuple(SkippedPoint(point, reasons[point]) for point in sorted(reasons))
-    result = StationTrajectory(station_id, tuple(segments), skipped)
+    made = _timed_way(task, order_of, limits, station_id, tell)
+    reasons = states.reasons | made.way.dropped
+    skipped = tuple(SkippedPoint(int(points[v]), reasons[v]) for v in sorted(reasons))
+    result = StationTrajectory(station_id, tuple(made.segments), skipped)
     _LOG.info(
         "station %d: %d points, %d skipped, %d breaks, scan %.1f s, transit %.1f s",
-        station_id, len(way.points), len(skipped), result.breaks, result.scan_s, result.transit_s,
+        station_id, len(made.way.points), len(skipped), result.breaks, result.scan_s,
+        result.transit_s,
     )  # fmt: skip
     tell(1.0, "done")
     return result
 
 
+@dataclass(frozen=True, eq=False)
+class _Made:
+    way: Way
+    segments: list[Segment]
+    order: VisitOrder
+
+
 def _timed_way(
-    search: Search,
-    world: CollisionWorld,
-    points: NDArray[np.int64],
-    limits: Limits,
-    station_id: int,
-    tell: Progress,
-) -> tuple[Way, list[Segment]]:
+    task: VisitTask, order_of: Order, limits: Limits, station_id: int, tell: Progress
+) -> _Made:
     """Searches a way and times it, anew without the edges that collide between their ends.
 
     Raises:
         NoTrajectoryError: No point is left.
     """
+    graph = task.graph
+    assert graph is not None
+    dropped: dict[int, str] = {}
     for repair in itertools.count():
-        way = search.run()
+        order, way = _ordered_way(task, order_of, dropped)
         if not len(way.points):
             raise NoTrajectoryError(
-                f"station {station_id}: no collision-free motion to any of the {len(points)} points"
+                f"station {station_id}: no collision-free motion to any of the {len(task.points)} "
+                "points"
             )
         tell(0.6 + 0.4 * min(repair / _REPAIRS, 1.0), "timing")
-        segments, places = timed_segments(world.arm, way, points, limits)
+        world = graph.problem.world
+        segments, places = timed_segments(world.arm, way, task.among, limits)
         bad = collision_edges(world, segments, places)
         if not bad:
             break
         for edge in bad:
-            if repair < _REPAIRS:
-                search.forbid(way, edge)
-            else:  # other ways were tried often enough: the point goes, so that this ends
-                search.drop_after(way, edge)
-    return way, segments
+            graph.forbid(way.pair(edge), not isinstance(way.edges[edge], Transit))
+            if repair >= _REPAIRS:  # other ways were tried often enough: the point goes
+                dropped[int(way.points[min(edge, len(way.points) - 1)])] = NO_MOTION
+        task = replace(task, known=task.among[way.points], effort_s=0.0)
+    return _Made(way, segments, order)
+
+
+def _ordered_way(
+    task: VisitTask, order_of: Order, dropped: dict[int, str]
+) -> tuple[VisitOrder, Way]:
+    """Orders and searches in turns: the order strategy is asked again while more is known."""
+    assert task.graph is not None
+    search = Search(task.graph)
+    best: tuple[VisitOrder, Way] | None = None
+    for _ in range(_REORDERS):
+        order = order_of(task)
+        way = search.run(np.searchsorted(task.among, order.points), dropped)
+        rank = (len(way.dropped), round(way.cost_s, 6))
+        if best is not None and rank >= (len(best[1].dropped), round(best[1].cost_s, 6)):
+            break
+        same = task.known is not None and np.array_equal(order.points, task.known)
+        best = order, way
+        if same:
+            break
+        task = replace(task, known=order.points, effort_s=0.3 * task.effort_s)
+    assert best is not None
+    return best
 
 
 def plan_trajectories(
@@ -194,6 +247,7 @@ def plan_trajectories(
                 part,
                 is_cancelled,
                 T_arm_base_map,
+                plan.T_map_tracker,
             )
         except NoTrajectoryError as error:
             _LOG.warning("%s", error)
@@ -233,10 +287,9 @@ def _require_points(path: ScanPath, points: NDArray[np.int64]) -> NDArray[np.int
 
 def _problem(
     world: CollisionWorld,
+    views: Views,
     settings: ScanSettings,
     cell: CellConfig,
-    path: ScanPath,
-    points: NDArray[np.int64],
     start: Array | None,
     tell: Progress,
     is_cancelled: Callable[[], bool] | None,
@@ -256,12 +309,14 @@ def _problem(
             )
     return Problem(
         world=world,
-        reference=np.array([1.0, 0.0, 0.0]),
+        dexterity=Dexterity(arm),
+        reference=views.reference,
         home=home,
         start=begin,
         tcp_speed=settings.tcp_speed_m_s,
         velocity=arm.velocity,
         acceleration=cell.acceleration_max_rad_s2,
+        seed=0,
         progress=lambda share: tell(0.2 + 0.4 * share, "transitions"),
         is_cancelled=is_cancelled or (lambda: False),
     )

@@ -1,288 +1,181 @@
-"""The way through a station's points: ladder graph, edges checked lazily, breaks planned."""
+"""The way through points in a given order: ladder graph, edges checked lazily, breaks planned."""
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import CancelledError
-from skinplan.robot.collision import CollisionWorld
-from skinplan.robot.reach import Reached
-from skinplan.trajectory.ladder import BREAK, STRAIGHT, Ladder
-from skinplan.trajectory.straight import JUMP_RAD, Poses, follow, same_joints, steps_needed
-from skinplan.trajectory.transit import Stop, TransitPlanner
+from skinplan.trajectory.graph import HOME, START, Pair, StationGraph
+from skinplan.trajectory.ladder import BREAK, STRAIGHT, Ladder, Solution
+from skinplan.trajectory.transit import Transit
 from skinplan.transforms import Array
 
 _LOG = logging.getLogger(__name__)
-_ROUNDS = (
-    400  # a bound on the repetitions of "solve, check, forbid"; each one forbids at least one edge
-)
-_THOROUGH_STATES = 3  # joint positions of a point, nearest to home, that get a thorough search
+_ROUNDS = 400  # a bound on "solve, check, correct"; each round settles at least one edge
+_FIRST_BATCH = 8  # edges checked between two layers at once; doubled every time that all fail
+_LARGEST_BATCH = 512
 NO_MOTION = "no collision-free motion to it was found"
 
-
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """What stays the same during the search at one station.
-
-    Attributes:
-        world: Arm and surroundings.
-        reference: Unit direction that rolls are counted from, shape (3,).
-        home: Home joint positions, shape (6,) [rad]: the end.
-        start: Start joint positions, shape (6,) [rad].
-        tcp_speed: Speed limit of the scanner [m/s].
-        velocity: Joint velocity limits, shape (6,) [rad/s].
-        acceleration: Joint acceleration limit [rad/s^2].
-        progress: Told the share done, in [0, 1].
-        is_cancelled: Asked now and then.
-    """
-
-    world: CollisionWorld
-    reference: Array
-    home: Array
-    start: Array
-    tcp_speed: float
-    velocity: Array
-    acceleration: float
-    progress: Callable[[float], None]
-    is_cancelled: Callable[[], bool]
+Indices = NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class Way:
-    """The way found.
+    """A way through points.
 
     Attributes:
-        points: Points visited, in order, shape (n,).
+        points: Views visited, in order, shape (n,).
         edges: n + 1 edges: start to first point, between points, last point to home. A straight one
-            is the joint positions on it, shape (k, 6) [rad]; a break is a list of joint paths
-            driven one after the other.
+            is the joint positions on it, shape (k, 6) [rad]; a break is a transit.
+        nodes: n + 2 nodes of the graph: start, points, home.
         states: Joint positions at the points, shape (n, 6) [rad].
-        dropped: Points left out, with the reason.
+        cost_s: What it costs by the graph's estimates [s].
+        dropped: Views left out, with the reason.
     """
 
-    points: NDArray[np.int64]
-    edges: list[Array | list[Array]]
+    points: Indices
+    edges: list[Array | Transit]
+    nodes: list[int]
     states: Array
+    cost_s: float
     dropped: dict[int, str]
+
+    def pair(self, edge: int) -> Pair:
+        """Returns the nodes that an edge joins."""
+        return self.nodes[edge], self.nodes[edge + 1]
 
 
 class Search:
-    """Searches the way through ordered points; keeps what it has checked, to be asked again."""
+    """Searches the way through points in an order; what it checks, the graph keeps."""
 
-    def __init__(self, problem: Problem, order: NDArray[np.int64], reached: Reached) -> None:
-        """Prepares the search.
+    def __init__(self, graph: StationGraph) -> None:
+        """Takes the graph of a station."""
+        self._graph = graph
+
+    def run(self, order: Indices, dropped: dict[int, str] | None = None) -> Way:
+        """Finds the least-cost way; points that can't be joined are dropped.
 
         Args:
-            problem: The station.
-            order: Views in the order of visit, all of them reached, shape (n,).
-            reached: Joint positions for the views.
-        """
-        self._problem = problem
-        self._reached = reached
-        self._points = [int(p) for p in order]
-        self._states = {p: np.flatnonzero(reached.view == p) for p in self._points}
-        self._transits = TransitPlanner(problem.world, problem.reference, problem.home)
-        self._straight: dict[
-            tuple[int, int], Array
-        ] = {}  # checked and good: (state, state) -> joint positions
-        self._no_straight: set[tuple[int, int]] = set()
-        self._breaks: dict[tuple[int, int], list[Array]] = {}
-        self._no_break: set[tuple[int, int]] = set()
-        self._stops: dict[int, Stop] = {}
-        self._hard: set[int] = set()  # states of points that nothing simple leads to
-        self._dropped: dict[int, str] = {}
-
-    def run(self) -> Way:
-        """Finds the way; points that can't be joined are dropped.
+            order: Views in the order of visit, all of them with states, shape (n,).
+            dropped: Views that were dropped before; they are left out.
 
         Raises:
             CancelledError: The caller asked to stop.
         """
-        while self._points:
-            ladder = self._ladder()
-            for number in range(_ROUNDS):
-                if self._problem.is_cancelled():
-                    raise CancelledError("the search for a trajectory was cancelled")
-                solved = ladder.solve()
-                if isinstance(solved, int):
-                    break
-                states, kinds, seconds = solved
-                if self._check(ladder, states, kinds):
-                    _LOG.debug(
-                        "%d points: %.1f s after %d rounds", len(self._points), seconds, number + 1
-                    )
-                    return self._way(states, kinds)
-            else:
-                solved = self._first_open(ladder)
-            self._drop(solved)
-        return Way(np.zeros(0, dtype=np.int64), [], np.zeros((0, 6)), self._dropped)
+        dropped = dict(dropped or {})
+        points = [int(p) for p in order if int(p) not in dropped]
+        while points:
+            layers = [self._graph.layer(view) for view in (START, *points, HOME)]
+            ladder = Ladder(*self._graph.layer_costs(points))
+            solved = self._settled(ladder, layers)
+            if solved is None:
+                continue
+            if isinstance(solved, Solution):
+                return self._way(points, layers, solved, dropped)
+            dropped[points.pop(min(solved - 1, len(points) - 1))] = NO_MOTION
+        return Way(np.zeros(0, dtype=np.int64), [], [], np.zeros((0, 6)), 0.0, dropped)
 
-    def forbid(self, way: Way, edge: int) -> None:
-        """Takes an edge of a way out that turned out to be impossible later on."""
-        pair = self._pairs_of(way)[edge]
-        (self._no_break if isinstance(way.edges[edge], list) else self._no_straight).add(pair)
+    def _settled(self, ladder: Ladder, layers: list[Indices]) -> Solution | int | None:
+        """Solves until every edge of the best way is checked.
 
-    def drop_after(self, way: Way, edge: int) -> None:
-        """Drops the point that an edge leads to (of the edge to home: that it comes from)."""
-        point = int(way.points[min(edge, len(way.points) - 1)])
-        if point in self._points:
-            self._points.remove(point)
-            self._dropped[point] = NO_MOTION
-
-    def _pairs_of(self, way: Way) -> list[tuple[int, int]]:
-        ids = [-1]
-        for point, q in zip(way.points, way.states, strict=True):
-            options = self._states[int(point)]
-            ids.append(int(options[np.argmin(np.abs(self._reached.q[options] - q).max(axis=1))]))
-        return list(zip(ids, [*ids[1:], -2], strict=True))
-
-    def _ladder(self) -> Ladder:
-        problem, reached = self._problem, self._reached
-        groups = [self._states[p] for p in self._points]
-        least: list[Array | None] = [None]
-        for a, b in zip(groups, groups[1:], strict=False):
-            least.append(self._straight_seconds(a, b))
-        least.append(None)
-        layers = [problem.start[None], *(reached.q[g] for g in groups), problem.home[None]]
-        ladder = Ladder(layers, least, problem.velocity, problem.acceleration)
-        self._ids = [np.array([-1]), *groups, np.array([-2])]
-        for layer, (a, b) in enumerate(zip(self._ids, self._ids[1:], strict=False)):
-            self._apply_forbidden(ladder, layer, a, b)
-        return ladder
-
-    def _apply_forbidden(
-        self, ladder: Ladder, layer: int, a: NDArray[np.int64], b: NDArray[np.int64]
-    ) -> None:
-        if not self._no_straight and not self._no_break:
-            return
-        for i, first in enumerate(a.tolist()):
-            for j, second in enumerate(b.tolist()):
-                if (first, second) in self._no_straight:
-                    ladder.forbid_straight(layer, i, j)
-                if (first, second) in self._no_break:
-                    ladder.forbid_break(layer, i, j)
-
-    def _straight_seconds(self, a: NDArray[np.int64], b: NDArray[np.int64]) -> Array:
-        """Least time of straight moves between two layers; inf where joints would have to jump."""
-        first, second = self._poses(np.repeat(a, len(b))), self._poses(np.tile(b, len(a)))
-        seconds = (
-            np.linalg.norm(second.positions - first.positions, axis=1) / self._problem.tcp_speed
-        )
-        change = np.abs(second.q - first.q).max(axis=1)
-        seconds[change > JUMP_RAD * steps_needed(first, second)] = np.inf
-        return np.asarray(seconds.reshape(len(a), len(b)))
-
-    def _poses(self, states: NDArray[np.int64]) -> Poses:
-        r = self._reached
-        return Poses(r.q[states], r.positions[states], r.directions[states], r.rolls[states])
-
-    def _check(self, ladder: Ladder, states: NDArray[np.int64], kinds: NDArray[np.int64]) -> bool:
-        """Checks new edges of the best way; forbids the bad ones. True = all are good."""
-        ids = [int(self._ids[layer][state]) for layer, state in enumerate(states)]
-        pairs = list(zip(ids, ids[1:], strict=False))
-        straight = [
-            i for i, k in enumerate(kinds) if k == STRAIGHT and pairs[i] not in self._straight
-        ]
-        good = self._check_straight(ladder, states, straight, pairs)
-        if not good:
-            return False
-        stops = [i for i, k in enumerate(kinds) if k == BREAK and pairs[i] not in self._breaks]
-        for number, layer in enumerate(stops):
-            self._problem.progress(number / len(stops))
-            if self._problem.is_cancelled():
+        Returns:
+            The way; the layer where it fails; None when the ladder has to be made anew.
+        """
+        batches: dict[int, int] = {}
+        solved: Solution | int = 0
+        for number in range(_ROUNDS):
+            if self._graph.problem.is_cancelled():
                 raise CancelledError("the search for a trajectory was cancelled")
-            first, second = pairs[layer]
-            thorough = first in self._hard or second in self._hard
-            plan = self._transits.plan(self._stop(first), self._stop(second), thorough)
-            if plan is None:
-                self._no_break.add(pairs[layer])
-                ladder.forbid_break(layer, int(states[layer]), int(states[layer + 1]))
-                good = False
-            else:
-                self._breaks[pairs[layer]] = plan
-        return good
+            solved = ladder.solve()
+            if isinstance(solved, int):
+                return solved
+            nodes = [int(layer[s]) for layer, s in zip(layers, solved.states, strict=True)]
+            pairs = list(zip(nodes, nodes[1:], strict=False))
+            if not self._straight_good(ladder, layers, solved, pairs, batches):
+                continue
+            good = self._breaks_good(ladder, layers, solved, pairs)
+            if good is None:
+                return None
+            if good:
+                _LOG.debug("%d layers: %.1f s after %d rounds", len(layers), solved.cost_s, number)
+                return solved
+        return self._first_open(solved, pairs)
 
-    def _check_straight(
+    def _straight_good(
         self,
         ladder: Ladder,
-        states: NDArray[np.int64],
-        layers: list[int],
-        pairs: list[tuple[int, int]],
+        layers: list[Indices],
+        solved: Solution,
+        pairs: list[Pair],
+        batches: dict[int, int],
     ) -> bool:
-        if not layers:
+        """Checks the straight edges of the best way, and the most promising ones beside them."""
+        graph = self._graph
+        new = [
+            i for i, kind in enumerate(solved.kinds)
+            if kind == STRAIGHT and not graph.knows_straight(pairs[i])
+        ]  # fmt: skip
+        if not new:
             return True
-        first = self._poses(np.array([pairs[i][0] for i in layers]))
-        second = self._poses(np.array([pairs[i][1] for i in layers]))
-        problem = self._problem
-        good = True
-        for i, move in zip(
-            layers,
-            follow(problem.world, first, second, problem.reference, problem.home),
-            strict=True,
-        ):
-            state, end = pairs[i]
-            if not move.problem and same_joints(move.q[-1], self._reached.q[end]):
-                self._straight[(state, end)] = move.q
-                continue
-            good = False
-            for column in self._same_view(i, end, bool(move.problem), move.q[-1]):
-                self._no_straight.add((state, int(self._ids[i + 1][column])))
-                ladder.forbid_straight(i, int(states[i]), int(column))
-        return good
+        asked: list[tuple[int, int, int]] = []
+        for layer, states in ladder.best_edges(STRAIGHT, {i: batches.get(i, 1) for i in new}):
+            batches[layer] = min(_LARGEST_BATCH, max(_FIRST_BATCH, 2 * batches.get(layer, 1)))
+            for a, b in [tuple(solved.states[layer : layer + 2].tolist()), *states.tolist()]:
+                pair = int(layers[layer][a]), int(layers[layer + 1][b])
+                if not graph.knows_straight(pair):
+                    asked.append((layer, a, b))
+        edges = [(int(layers[i][a]), int(layers[i + 1][b])) for i, a, b in asked]
+        results = graph.check_straight(edges)
+        for (layer, a, b), good in zip(asked, results, strict=True):
+            if not good:
+                ladder.set_cost(STRAIGHT, layer, a, b, np.inf)
+        return all(results[edges.index(pairs[i])] for i in new if pairs[i] in edges)
 
-    def _same_view(self, layer: int, end: int, failed: bool, q: Array) -> list[int]:
-        """States of the next layer that a move fails to reach: all of the view but its end."""
-        reached = self._reached
-        result = []
-        for column, other in enumerate(self._ids[layer + 1].tolist()):
-            gap = np.abs(reached.positions[other] - reached.positions[end]).max()
-            gap = max(gap, np.abs(reached.directions[other] - reached.directions[end]).max())
-            same = max(gap, abs(reached.rolls[other] - reached.rolls[end])) < 1e-9
-            if same and (failed or not same_joints(q, reached.q[other])):
-                result.append(column)
-        return result
+    def _breaks_good(
+        self, ladder: Ladder, layers: list[Indices], solved: Solution, pairs: list[Pair]
+    ) -> bool | None:
+        """Plans the breaks of the best way; None when what is known of many edges has changed."""
+        graph = self._graph
+        new = [
+            i for i, kind in enumerate(solved.kinds)
+            if kind == BREAK and not graph.knows_break(pairs[i])
+        ]  # fmt: skip
+        for number, layer in enumerate(new):
+            graph.problem.progress(number / len(new))
+            if graph.problem.is_cancelled():
+                raise CancelledError("the search for a trajectory was cancelled")
+            if not graph.plan_break(pairs[layer]) and graph.close_vain_families(pairs[layer]):
+                return None
+            a, b = layers[layer], layers[layer + 1]
+            at = int(solved.states[layer]), int(solved.states[layer + 1])
+            cost = graph.break_s(a[at[0]][None], b[at[1]][None])[0, 0]
+            ladder.set_cost(BREAK, layer, *at, float(cost))
+        return not new or self._unchanged(ladder, solved)
 
-    def _stop(self, state: int) -> Stop:
-        if state < 0:
-            return self._transits.resting(
-                self._problem.start if state == -1 else self._problem.home
-            )
-        if state not in self._stops:
-            self._stops[state] = self._transits.stop(self._poses(np.array([state])))
-        return self._stops[state]
+    def _unchanged(self, ladder: Ladder, solved: Solution) -> bool:
+        again = ladder.solve()
+        return isinstance(again, Solution) and np.array_equal(again.states, solved.states)
 
-    def _way(self, states: NDArray[np.int64], kinds: NDArray[np.int64]) -> Way:
-        ids = [int(self._ids[layer][state]) for layer, state in enumerate(states)]
-        edges: list[Array | list[Array]] = []
-        for pair, kind in zip(zip(ids, ids[1:], strict=False), kinds, strict=True):
-            edges.append(self._straight[pair] if kind == STRAIGHT else self._breaks[pair])
-        return Way(np.array(self._points), edges, self._reached.q[ids[1:-1]], dict(self._dropped))
+    def _way(
+        self, points: list[int], layers: list[Indices], solved: Solution, dropped: dict[int, str]
+    ) -> Way:
+        graph = self._graph
+        nodes = [int(layer[s]) for layer, s in zip(layers, solved.states, strict=True)]
+        edges: list[Array | Transit] = []
+        for pair, kind in zip(zip(nodes, nodes[1:], strict=False), solved.kinds, strict=True):
+            edges.append(graph.straight(pair) if kind == STRAIGHT else graph.transit(pair))
+        states = np.array([graph.q(node) for node in nodes[1:-1]]).reshape(-1, 6)
+        return Way(np.array(points), edges, nodes, states, solved.cost_s, dropped)
 
-    def _first_open(self, ladder: Ladder) -> int:
-        """Layer to drop when the rounds are used up: the first with an unchecked edge."""
-        solved = ladder.solve()
+    def _first_open(self, solved: Solution | int, pairs: list[Pair]) -> int:
+        """Layer to drop when the rounds are used up: the first one behind an unchecked edge."""
         if isinstance(solved, int):
             return solved
-        states, kinds, _ = solved
-        ids = [int(self._ids[layer][state]) for layer, state in enumerate(states)]
-        for layer, pair in enumerate(zip(ids, ids[1:], strict=False)):
-            if pair not in (self._straight if kinds[layer] == STRAIGHT else self._breaks):
+        graph = self._graph
+        for layer, (pair, kind) in enumerate(zip(pairs, solved.kinds, strict=True)):
+            known = graph.knows_straight(pair) if kind == STRAIGHT else graph.knows_break(pair)
+            if not known:
                 return layer + 1
-        return len(ids) - 2
-
-    def _drop(self, layer: int) -> None:
-        """Gives a point up, or first marks it for a thorough search. Last layer: the last point."""
-        place = min(layer - 1, len(self._points) - 1)
-        options = self._states[self._points[place]]
-        gaps = np.abs(self._reached.q[options] - self._problem.home).max(axis=1)
-        states = set(
-            options[np.argsort(np.round(gaps, 9), kind="stable")[:_THOROUGH_STATES]].tolist()
-        )
-        if not states <= self._hard:
-            self._hard |= states
-            self._no_break = {pair for pair in self._no_break if not states & set(pair)}
-            return
-        self._dropped[self._points.pop(place)] = NO_MOTION
+        return len(pairs) - 1

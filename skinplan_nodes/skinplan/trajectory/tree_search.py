@@ -7,7 +7,7 @@ from skinplan.transforms import Array
 
 _REACH_RAD = 1.0  # how far the region that is sampled goes beyond the two ends
 _STEP_RAD = 0.5
-_SEED = 5
+_SHORTCUTS = 40
 
 
 class _Tree:
@@ -32,19 +32,22 @@ class _Tree:
         return result[::-1]
 
 
-def connect(world: CollisionWorld, start: Array, end: Array, iterations: int) -> list[Array] | None:
+def connect(
+    world: CollisionWorld, start: Array, end: Array, iterations: int, seed: int = 0
+) -> list[Array] | None:
     """Finds corners of a collision-free joint-space polyline.
 
     Args:
         world: Arm and surroundings.
         start: Joint positions, shape (6,) [rad], free.
         end: Joint positions, shape (6,) [rad], free.
-        iterations: Samples to try; the same number gives the same answer.
+        iterations: Samples to try; the same number and seed give the same answer.
+        seed: Of the samples.
 
     Returns:
         Corners from start to end, each of shape (6,) [rad]; None = not found.
     """
-    random = np.random.default_rng(_SEED)
+    random = np.random.default_rng(seed)
     low = np.maximum(np.minimum(start, end) - _REACH_RAD, world.arm.lower)
     high = np.minimum(np.maximum(start, end) + _REACH_RAD, world.arm.upper)
     # A joint that neither end moves (the last one, where roll is free) is left alone.
@@ -78,6 +81,34 @@ def shorten(world: CollisionWorld, corners: list[Array]) -> list[Array]:
         result.append(corners[following])
         here = following
     return result
+
+
+def shortcut(world: CollisionWorld, corners: list[Array], seed: int = 0) -> list[Array]:
+    """Cuts a joint-space polyline short where the straight motion between two places is free.
+
+    Args:
+        world: Arm and surroundings.
+        corners: Each of shape (6,) [rad].
+        seed: Of the places that are tried.
+
+    Returns:
+        Corners from the same start to the same end.
+    """
+    random = np.random.default_rng(seed)
+    q = np.array(shorten(world, corners))
+    for _ in range(_SHORTCUTS):
+        if len(q) < 3:
+            break
+        way = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(q, axis=0), axis=1)))
+        places = np.sort(random.uniform(0.0, way[-1], 2))
+        steps = np.clip(np.searchsorted(way, places, side="right") - 1, 0, len(q) - 2)
+        if steps[0] == steps[1]:
+            continue
+        share = (places - way[steps]) / np.maximum(way[steps + 1] - way[steps], 1e-12)
+        ends = q[steps] + share[:, None] * (q[steps + 1] - q[steps])
+        if world.free_motion(ends[0], ends[1]):
+            q = np.vstack([q[: steps[0] + 1], ends, q[steps[1] + 1 :]])
+    return list(q)
 
 
 def _extend(world: CollisionWorld, tree: _Tree, goal: Array) -> int | None:
