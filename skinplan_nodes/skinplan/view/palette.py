@@ -4,6 +4,7 @@ All are red, green, blue in [0, 1].
 """
 
 import numpy as np
+from matplotlib import colormaps
 
 from skinplan.transforms import Array
 
@@ -21,6 +22,8 @@ SKIPPED: Colour = (0.0, 0.0, 0.0)
 
 HOLE_FRAME: Colour = (0.68, 0.00, 0.30)
 FIELD: Colour = (0.95, 0.73, 0.10)
+
+_TIME_MAP = colormaps["plasma"]
 
 SERIES: tuple[Colour, ...] = (
     (0.00, 0.45, 0.70),
@@ -41,3 +44,13 @@ def series(number: int) -> Colour:
 def region_colours(count: int) -> Array:
     """Returns the colours of the flat surface and of regions 1 to ``count``, (count + 1, 3)."""
     return np.array([SURFACE, *(series(number) for number in range(count))])
+
+
+def time_colours(shares: Array) -> Array:
+    """Returns the colours of times, shape (n, 3): dark blue at 0, red halfway, orange at 1.
+
+    Args:
+        shares: Of the whole time [1], shape (n,); what is outside [0, 1] has the colour of the end.
+    """
+    # The map's last colours are too light for a line on a light part.
+    return np.asarray(_TIME_MAP(0.86 * np.clip(shares, 0.0, 1.0)))[:, :3]

@@ -6,10 +6,13 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from skinplan.view import coverage_picture, floor, path_pictures, reach_picture
+from skinplan.view.joints_picture import joints_figure
+from skinplan.view.order_picture import order_figure
 from skinplan.view.regions_picture import regions_figure
 from skinplan.view.sheet import png
 from skinplan.view.stage import Stage
 from skinplan.view.subject import Subject
+from skinplan.view.timeline_picture import timeline_figure
 
 Progress = Callable[[float, str], None]
 
@@ -30,6 +33,12 @@ def figures(subject: Subject) -> dict[str, Callable[[], Figure]]:
     if subject.path is not None and subject.station_plan is not None:
         makers["stations"] = lambda: floor.stations_figure(subject)
         makers["reach"] = lambda: reach_picture.reach_figure(stage)
+    if subject.path is not None and subject.station_plan is not None and subject.trajectories:
+        makers["order"] = lambda: order_figure(stage)
+        if any(trajectory.segments for trajectory in subject.trajectories):
+            makers["joints"] = lambda: joints_figure(subject)
+        if subject.cycle is not None:
+            makers["timeline"] = lambda: timeline_figure(subject)
     return makers
 
 

@@ -52,18 +52,25 @@ class Panel:
         extent: Left, right, bottom, top of its window [m].
         draw: Draws into the axes.
         labels: Of the two axes.
+        height_px: None = both axes to one scale; else a chart of this height [px] whose window is
+            in any units.
     """
 
     title: str
     extent: tuple[float, float, float, float]
     draw: Callable[[Axes], None]
     labels: tuple[str, str] = ("along the part [m]", "across the part [m]")
+    height_px: float | None = None
 
     @property
     def ratio(self) -> float:
-        """Height by width."""
+        """Height by width of a panel to scale; 0 for a chart."""
         left, right, bottom, top = self.extent
-        return (top - bottom) / (right - left)
+        return 0.0 if self.height_px is not None else (top - bottom) / (right - left)
+
+    def height(self, width_px: float) -> float:
+        """Returns the height of the axes [px] when they are so wide."""
+        return self.height_px if self.height_px is not None else width_px * self.ratio
 
 
 @dataclass(frozen=True)
@@ -76,6 +83,7 @@ class Page:
         legend: Handles with labels.
         caption: Sentences below the legend.
         small: Further panels, below, two or three beside each other.
+        columns: How many of the panels stand beside each other; None = as their shape suggests.
     """
 
     title: str
@@ -83,6 +91,7 @@ class Page:
     legend: Sequence[Artist] = field(default_factory=tuple)
     caption: str = ""
     small: tuple[Panel, ...] = ()
+    columns: int | None = None
 
 
 def draw_page(page: Page) -> Figure:
@@ -180,7 +189,7 @@ class _Row:
 
 
 def _rows(page: Page) -> list[_Row]:
-    wide = 2 if len(page.panels) > 1 and page.panels[0].ratio > 0.6 else 1
+    wide = page.columns or (2 if len(page.panels) > 1 and page.panels[0].ratio > 0.6 else 1)
     narrow = 2 if len(page.small) in (1, 2, 4) else 3
     result = []
     for panels, columns in ((page.panels, wide), (page.small, narrow)):
@@ -188,7 +197,7 @@ def _rows(page: Page) -> list[_Row]:
         for start in range(0, len(panels), columns):
             row = panels[start : start + columns]
             titles = tuple(_wrapped(panel.title, width) for panel in row)
-            height = min(width * max(panel.ratio for panel in row), _MOST_PANEL_PX)
+            height = min(max(panel.height(width) for panel in row), _MOST_PANEL_PX)
             head = _PANEL_TITLE_PX + _LINE_PX * max(title.count("\n") for title in titles)
             result.append(_Row(row, titles, width, height, head))
     return result
@@ -199,7 +208,7 @@ def _draw_panel(
 ) -> None:
     axes = figure.add_axes(box, anchor="NW")
     left, right, bottom, top = panel.extent
-    axes.set_aspect("equal", adjustable="box")
+    axes.set_aspect("equal" if panel.height_px is None else "auto", adjustable="box")
     panel.draw(axes)
     axes.set_xlim(left, right)
     axes.set_ylim(bottom, top)

@@ -11,6 +11,8 @@ from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import ScanPath
 from skinplan.scanner.model import Coverage, ScannerModel
 from skinplan.stations.model import SkippedPoint, StationPlan
+from skinplan.trajectory.cycle import CycleTime
+from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import Array
 
 
@@ -31,6 +33,10 @@ class Subject:
         skipped: Points that are not scanned, of the stations and of the trajectories.
         T_map_workpiece: Nominal place of the part in the shop, shape (4, 4) [m].
         cell: The cell.
+        trajectories: What the arm does at the stations.
+        cycle: What the whole plan costs.
+        tcp_speed_m_s: Speed limit of the scanner while it scans [m/s].
+        order_strategy: Name of the strategy that chose the order of visit.
     """
 
     part_id: str
@@ -45,6 +51,10 @@ class Subject:
     skipped: tuple[SkippedPoint, ...] = ()
     T_map_workpiece: Array = field(default_factory=lambda: np.eye(4))
     cell: CellConfig = field(default_factory=CellConfig)
+    trajectories: tuple[StationTrajectory, ...] = ()
+    cycle: CycleTime | None = None
+    tcp_speed_m_s: float | None = None
+    order_strategy: str = ""
 
     @property
     def T_map_tracker(self) -> Array:
@@ -92,4 +102,8 @@ def subject_of_plan(plan: Plan, cell: CellConfig) -> Subject:
         skipped=tuple(skipped),
         T_map_workpiece=plan.part.T_map_workpiece,
         cell=cell,
+        trajectories=plan.trajectories,
+        cycle=plan.cycle,
+        tcp_speed_m_s=plan.part.scan.tcp_speed_m_s,
+        order_strategy=plan.part.scan.order_strategy,
     )
