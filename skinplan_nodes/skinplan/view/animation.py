@@ -12,7 +12,7 @@ from PIL import Image, ImageDraw, ImageFont
 from skinplan.errors import InputError
 from skinplan.transforms import Array, apply
 from skinplan.view import palette
-from skinplan.view.animation_view import IN_VIEW, SEEN, AnimationView, SeenSurface
+from skinplan.view.animation_view import IN_VIEW, SEEN, AnimationView, SeenSurface, shown_colours
 from skinplan.view.motion import StationMotion, station_motions
 from skinplan.view.stage import Stage
 
@@ -22,7 +22,8 @@ MOST_FRAMES = 110
 MOST_BYTES = 8_000_000
 WIDTH_PX = 720
 HEAD_PX = 46
-_COLOURS = 128
+_COLOURS = 232  # the rest of the 256 of a GIF are greys
+_DARKEST = 0.28
 _LOOK_S = 0.1  # the scanner moves at most 20 mm between two looks at the usual speed
 _SHRINK = 0.8
 _LEAST_WIDTH_PX = 160
@@ -89,15 +90,16 @@ def motion_gif(
         InputError: Nothing moves.
     """
     frames = []
+    colours = shown_colours(stage.subject)
     for share, image in drawn_frames(stage, width_px):
         frames.append(image)
         if progress is not None:
             progress(share, "animation")
-    data = _encoded(frames)
+    data = _encoded(frames, colours)
     while len(data) > most_bytes and frames[0].width * _SHRINK >= _LEAST_WIDTH_PX:
         size = (round(frames[0].width * _SHRINK), round(frames[0].height * _SHRINK))
         frames = [frame.resize(size, Image.Resampling.BOX) for frame in frames]
-        data = _encoded(frames)
+        data = _encoded(frames, colours)
     return data
 
 
@@ -192,14 +194,10 @@ def _font(name: str, size: int) -> ImageFont.FreeTypeFont:
     return ImageFont.truetype(str(file), size, layout_engine=ImageFont.Layout.BASIC)
 
 
-def _encoded(frames: Sequence[Image.Image]) -> bytes:
-    """Returns the GIF of some pictures; they share the colours of three of them."""
-    some = [frames[0], frames[len(frames) // 2], frames[-1]]
-    sheet = Image.new("RGB", (frames[0].width, sum(frame.height for frame in some)))
-    for number, frame in enumerate(some):
-        sheet.paste(frame, (0, number * frame.height))
-    colours = sheet.quantize(_COLOURS, method=Image.Quantize.MAXCOVERAGE)
-    pages = [frame.quantize(palette=colours, dither=Image.Dither.NONE) for frame in frames]
+def _encoded(frames: Sequence[Image.Image], colours: Sequence[palette.Colour]) -> bytes:
+    """Returns the GIF of some pictures of things that have some colours."""
+    table = _palette(colours)
+    pages = [frame.quantize(palette=table, dither=Image.Dither.NONE) for frame in frames]
     stream = BytesIO()
     durations = [FRAME_MS] * (len(pages) - 1) + [LAST_MS]
     pages[0].save(
@@ -207,6 +205,18 @@ def _encoded(frames: Sequence[Image.Image]) -> bytes:
         optimize=False, disposal=1,
     )  # fmt: skip
     return stream.getvalue()
+
+
+def _palette(colours: Sequence[palette.Colour]) -> Image.Image:
+    """Returns a picture with shades of each colour: a choice by how often they are loses some."""
+    different = list(dict.fromkeys(colours))
+    shades = np.linspace(_DARKEST, 1.0, _COLOURS // len(different))
+    greys = np.linspace(0.0, 1.0, 256 - len(different) * len(shades))
+    table = np.concatenate([np.outer(shades, colour) for colour in different])
+    table = np.concatenate([table, np.tile(greys[:, None], (1, 3))])
+    result = Image.new("P", (1, 1))
+    result.putpalette(np.rint(255.0 * table).astype(np.uint8).tobytes())
+    return result
 
 
 def _bytes(colour: palette.Colour) -> tuple[int, int, int]:

@@ -22,6 +22,7 @@ from skinplan.view.camera import ParallelView, front_axes, view_of
 from skinplan.view.motion import StationMotion
 from skinplan.view.raster import Light, Raster, coloured, rasterise, smaller
 from skinplan.view.stage import Stage
+from skinplan.view.subject import Subject
 
 UNSEEN: palette.Colour = (0.84, 0.85, 0.87)
 SEEN: palette.Colour = (0.50, 0.76, 0.60)
@@ -180,6 +181,14 @@ class AnimationView:
         nearer = raster.depth > still.depth[rows, columns]
         drawn = coloured(raster, arm, colours, self._light)
         image[rows, columns][nearer] = drawn[nearer]
+
+
+def shown_colours(subject: Subject) -> tuple[palette.Colour, ...]:
+    """Returns the colours of all that is drawn, before shading."""
+    count = 0 if subject.station_plan is None else len(subject.station_plan.stations)
+    bases = (palette.series(number) for number in range(count))
+    arm = (shape.colour for shape in arm_shapes(subject.cell))
+    return tuple(dict.fromkeys((UNSEEN, SEEN, IN_VIEW, PEDESTAL_COLOUR, *arm, *bases)))
 
 
 def _axes(stage: Stage) -> tuple[Array, Array]:
