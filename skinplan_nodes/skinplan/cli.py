@@ -22,7 +22,7 @@ from skinplan.mesh.model import Finding
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
 from skinplan.part.samples import SAMPLE_TITLES, SAMPLES, write_sample
-from skinplan.pipeline import Plan, check_strategies, plan_part
+from skinplan.pipeline import STAGES, Plan, check_strategies, plan_part
 from skinplan.plan_record import write_json
 from skinplan.recording.reader import open_bag
 from skinplan.replay_run import replay_bag
@@ -180,6 +180,9 @@ def plan(
     view: Annotated[
         bool, typer.Option("--view", help="Write pictures to --out, or else to plan-PART/.")
     ] = False,
+    animate: Annotated[
+        bool, typer.Option("--animate", help="As --view, and the arm in motion as motion.gif.")
+    ] = False,
     browser: Annotated[
         bool, typer.Option("--browser", help="Serve a 3-D view to this machine until Ctrl+C.")
     ] = False,
@@ -194,17 +197,19 @@ def plan(
         config = load_cell(cell)
         seen = None if rescan is None else seen_points(rescan)
         view_port = _viewer_port(port) if browser else None
+        if animate:
+            _require_motion(until)
         with console.progress_bar(f"plan {asked.id}") as progress:
             made = plan_part(asked, config, progress, until=until, seen=seen)
         summary = made.summary()
         if out is not None:
             made.write(out)
             write_json(out / "summary.json", summary)
-        if not (view or browser):
+        if not (view or animate or browser):
             _print_plan(asked, summary, out, as_json)
             return
-        pictures = (out or Path(f"plan-{asked.id}")) if view else None
-        with _shown(made, config, pictures, view_port) as views:
+        pictures = (out or Path(f"plan-{asked.id}")) if view or animate else None
+        with _shown(made, config, pictures, view_port, animate) as views:
             _print_plan(asked, {**summary, "view": views.document()}, out, as_json)
             views.wait()
 
@@ -334,12 +339,22 @@ def _viewer_port(port: int) -> int:
     return port
 
 
-def _shown(made: Plan, config: CellConfig, pictures: Path | None, port: int | None) -> "Shown":
+def _require_motion(until: str) -> None:
+    """Refuses an animation of a plan without trajectories before the long work begins."""
+    if until != STAGES[-1]:
+        raise InputError(
+            f"--animate was asked for with --until {until}; it needs --until {STAGES[-1]}"
+        )
+
+
+def _shown(
+    made: Plan, config: CellConfig, pictures: Path | None, port: int | None, animate: bool
+) -> "Shown":
     # Drawing takes long to load and most commands do not draw.
     from skinplan.view.show import show_plan
 
     with console.progress_bar(f"view {made.part.id}") as progress:
-        views = show_plan(made, config, pictures, port, progress)
+        views = show_plan(made, config, pictures, port, progress, animate)
     if views.note:
         console.stderr.print(views.note, soft_wrap=True)
     return views

@@ -22,6 +22,7 @@ MOST_FRAMES = 110
 MOST_BYTES = 8_000_000
 WIDTH_PX = 720
 HEAD_PX = 46
+HEAD_WIDTH_PX = 590  # what the words need
 _COLOURS = 232  # the rest of the 256 of a GIF are greys
 _DARKEST = 0.28
 _LOOK_S = 0.1  # the scanner moves at most 20 mm between two looks at the usual speed
@@ -120,18 +121,15 @@ def drawn_frames(stage: Stage, width_px: int = WIDTH_PX) -> Iterator[tuple[float
         seen.look(_views(before, frame))
         q = frame.motion.joints(np.array([frame.time_s]))[0]
         body = Image.fromarray(view.image(frame.motion, q, seen.face_colours()))
-        page = Image.new("RGB", (body.width, body.height + HEAD_PX), "white")
-        page.paste(body, (0, HEAD_PX))
-        _draw_axis(page, stage, view, frame, q)
-        _draw_words(page, _words(stage, frame, faster), seen.share, is_scanning(frame))
+        page = Image.new("RGB", (max(body.width, HEAD_WIDTH_PX), body.height + HEAD_PX), "white")
+        corner = ((page.width - body.width) // 2, HEAD_PX)
+        page.paste(body, corner)
+        _draw_axis(page, corner, stage, view, frame, q)
+        _draw_words(
+            page, _words(stage, frame, faster), seen.share, frame.motion.is_scanning(frame.time_s)
+        )
         yield (number + 1) / len(frames), page
         before = frame
-
-
-def is_scanning(frame: Frame) -> bool:
-    """Whether the scanner scans at that moment."""
-    spans = frame.motion.scan_spans
-    return bool(np.any((spans[:, 0] <= frame.time_s) & (frame.time_s <= spans[:, 1])))
 
 
 def _views(before: Frame | None, frame: Frame) -> Array:
@@ -148,16 +146,21 @@ def _views(before: Frame | None, frame: Frame) -> Array:
 
 
 def _draw_axis(
-    page: Image.Image, stage: Stage, view: AnimationView, frame: Frame, q: Array
+    page: Image.Image,
+    corner: tuple[int, int],
+    stage: Stage,
+    view: AnimationView,
+    frame: Frame,
+    q: Array,
 ) -> None:
     """Draws the view axis from the scanner to where it looks, while it scans."""
     scanner = stage.subject.scanner
-    if scanner is None or not is_scanning(frame):
+    if scanner is None or not frame.motion.is_scanning(frame.time_s):
         return
     T = frame.motion.scanner(q[None])[0]
     ends = np.stack([T[:3, 3], T[:3, 3] + scanner.standoff_m * T[:3, 0]])
     cells = view.view.pixels(apply(stage.subject.T_map_workpiece, ends))
-    line = [(int(column), int(row) + HEAD_PX) for row, column in cells]
+    line = [(int(column) + corner[0], int(row) + corner[1]) for row, column in cells]
     ImageDraw.Draw(page).line(line, fill=_bytes(palette.HOLE_FRAME), width=2)
 
 

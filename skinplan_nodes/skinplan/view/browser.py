@@ -84,6 +84,9 @@ class BrowserView:
         if self._stopped:
             return
         self._stopped = True
+        scene = getattr(self, "scene", None)
+        if scene is not None and scene.clock is not None:
+            scene.clock.stop()
         with _quiet():
             self._server.stop()
 

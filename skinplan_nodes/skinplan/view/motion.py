@@ -74,6 +74,11 @@ class StationMotion:
         """When the scan is broken off to go on elsewhere, shape (b,) [s]."""
         return self.scan_spans[:-1, 1]
 
+    def is_scanning(self, time_s: float) -> bool:
+        """Tells whether the scanner scans at a time [s]."""
+        spans = self.scan_spans
+        return bool(np.any((spans[:, 0] <= time_s) & (time_s <= spans[:, 1])))
+
     def joints(self, times: Array) -> Array:
         """Returns the joint positions at times [s], shape (n,), as shape (n, 6) [rad].
 

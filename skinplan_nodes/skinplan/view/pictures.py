@@ -6,6 +6,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from skinplan.view import coverage_picture, floor, path_pictures, reach_picture
+from skinplan.view.animation import motion_gif
 from skinplan.view.joints_picture import joints_figure
 from skinplan.view.order_picture import order_figure
 from skinplan.view.regions_picture import regions_figure
@@ -14,16 +15,20 @@ from skinplan.view.stage import Stage
 from skinplan.view.subject import Subject
 from skinplan.view.timeline_picture import timeline_figure
 
+ANIMATION = "motion.gif"
+_ANIMATION_PICTURES = 9  # it takes about as long as so many pictures
+
 Progress = Callable[[float, str], None]
 
 
-def figures(subject: Subject) -> dict[str, Callable[[], Figure]]:
+def figures(subject: Subject, stage: Stage | None = None) -> dict[str, Callable[[], Figure]]:
     """Returns what can be drawn of a subject: the name of each picture and the function that does.
 
     Args:
         subject: What there is to show.
+        stage: Its views, when they are at hand.
     """
-    stage = Stage(subject)
+    stage = stage or Stage(subject)
     makers: dict[str, Callable[[], Figure]] = {"regions": lambda: regions_figure(stage)}
     if subject.path is not None:
         makers["points"] = lambda: path_pictures.points_figure(stage)
@@ -43,7 +48,7 @@ def figures(subject: Subject) -> dict[str, Callable[[], Figure]]:
 
 
 def write_pictures(
-    subject: Subject, folder: Path, progress: Progress | None = None
+    subject: Subject, folder: Path, progress: Progress | None = None, animate: bool = False
 ) -> tuple[Path, ...]:
     """Writes all pictures of a subject.
 
@@ -51,21 +56,33 @@ def write_pictures(
         subject: What there is to show.
         folder: Where the PNG files go; created when missing.
         progress: Told the share done and the picture being drawn.
+        animate: Also write the animation ``motion.gif``, which takes longer than all the others.
 
     Returns:
         The files written.
 
     Raises:
+        InputError: An animation of a plan in which nothing moves.
         OSError: The folder can't be written.
         MeshRefusedError: The part has no side that faces a viewer.
     """
     folder.mkdir(parents=True, exist_ok=True)
-    makers = figures(subject)
+    stage = Stage(subject)
+    makers: dict[str, Callable[[], bytes]] = {
+        f"{name}.png": lambda draw=draw: png(draw())  # type: ignore[misc]
+        for name, draw in figures(subject, stage).items()
+    }
+    tell = progress or (lambda share, text: None)
+    if animate:
+        begin = len(makers) / (len(makers) + _ANIMATION_PICTURES)
+        makers[ANIMATION] = lambda: motion_gif(
+            stage, lambda share, text: tell(begin + share * (1.0 - begin), text)
+        )
+    whole = len(makers) + (_ANIMATION_PICTURES - 1 if animate else 0)
     written = []
     for number, (name, draw) in enumerate(makers.items()):
-        if progress is not None:
-            progress(number / len(makers), f"picture {name}")
-        file = folder / f"{name}.png"
-        file.write_bytes(png(draw()))
+        tell(number / whole, f"picture {Path(name).stem}")
+        file = folder / name
+        file.write_bytes(draw())
         written.append(file)
     return tuple(written)

@@ -23,6 +23,7 @@ from skinplan.view.scene_data import (
     row_lines,
     scanner_pose,
 )
+from skinplan.view.scene_motion import MotionClock, add_motion
 
 
 class PlanScene:
@@ -36,6 +37,7 @@ class PlanScene:
         slider: The control that chooses a scan path point; None without a path.
         station_slider: The control that chooses where the arm stands; None without stations.
         arm: The arm; None without stations.
+        clock: Moves the arm along its timed motion; None without a motion.
     """
 
     def __init__(self, server: Any, data: SceneData) -> None:
@@ -52,6 +54,7 @@ class PlanScene:
         self.slider: Any = None
         self.station_slider: Any = None
         self.arm: ArmView | None = None
+        self.clock: MotionClock | None = None
         self._gui.configure_theme(show_logo=False, show_share_button=False, control_width="large")
         self._gui.add_markdown(f"**{escape(data.subject.part_id)}**")
         self._add_ground(server)
@@ -242,9 +245,16 @@ class PlanScene:
         self.station_slider = stations
         told = self._gui.add_markdown("")
 
+        field = self.layers["field of view"][0]
+        self.clock, ways = add_motion(self._scene, self._gui, subject, arm, field, told)
+        self.layers |= ways
+
         def place() -> None:
-            point = min(int(points.value), len(owner) - 1)
-            shown = arm.place(min(int(stations.value), last), point)
+            number, point = min(int(stations.value), last), min(int(points.value), len(owner) - 1)
+            if self.clock is not None:
+                self.clock.stop()
+                self.clock.choose(number)
+            shown = arm.place(number, point)
             told.content = shown.told[0].upper() + shown.told[1:]
 
         def follow() -> None:

@@ -80,6 +80,19 @@ class ArmView:
             point: Number of the scan path point.
         """
         shown = posture(self._subject, station, point)
+        self._stand(station, shown)
+        return shown
+
+    def move(self, station: int, q: Array) -> None:
+        """Puts the arm at a station into joint positions.
+
+        Args:
+            station: Its place in the order of visit.
+            q: Joint positions, shape (6,) [rad].
+        """
+        self._stand(station, Posture(q, True, "on its way"))
+
+    def _stand(self, station: int, shown: Posture) -> None:
         T_map_arm = arm_pose(self._subject, station)
         _move(self.base, T_map_arm)
         frames = self._arm.links(shown.q[None])[0]
@@ -91,7 +104,6 @@ class ArmView:
         colour = np.array(_bytes(_SEEN if shown.seen else _UNKNOWN), dtype=np.uint8)
         self.sight.colors = np.broadcast_to(colour, (1, 2, 3))
         self.posture = shown
-        return shown
 
 
 def add_tracker(scene: Any, subject: Subject) -> tuple[list[Any], list[Any]]:

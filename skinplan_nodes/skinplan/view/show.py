@@ -51,6 +51,7 @@ def show_plan(
     folder: Path | None,
     port: int | None,
     progress: Callable[[float, str], None] | None = None,
+    animate: bool = False,
 ) -> Shown:
     """Writes the pictures of a plan and starts to serve its scene.
 
@@ -60,17 +61,19 @@ def show_plan(
         folder: Where the pictures go; None = no pictures.
         port: Where the scene is served; None = not at all.
         progress: Told the share done and what is being done.
+        animate: Also write the animation of the arm.
 
     Returns:
         What is shown.
 
     Raises:
+        InputError: An animation of a plan in which nothing moves.
         ViewerMissingError: viser is not installed.
         PortBusyError: No free port.
         OSError: The folder can't be written.
     """
     subject = subject_of_plan(plan, cell)
-    pictures = () if folder is None else write_pictures(subject, folder, progress)
+    pictures = () if folder is None else write_pictures(subject, folder, progress, animate)
     if port is None:
         return Shown(pictures)
     data = SceneData(subject)
