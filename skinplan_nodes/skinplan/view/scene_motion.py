@@ -172,7 +172,10 @@ class MotionClock:
         self._show(motion, now)
         doing = "scan" if motion.is_scanning(now) else "transit"
         passed = int(np.count_nonzero(motion.point_s <= now + 1e-9))
-        self._told.content = f"Station {motion.name}, {now:.1f} of {motion.duration_s:.1f} s: {doing}, {passed} of {len(motion.points)} points passed"
+        self._told.content = (
+            f"Station {motion.name}, {now:.1f} of {motion.duration_s:.1f} s: {doing}, "
+            f"{passed} of {len(motion.points)} points passed"
+        )
 
 
 def add_motion(

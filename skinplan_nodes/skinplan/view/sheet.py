@@ -112,7 +112,7 @@ def draw_page(page: Page) -> Figure:
     FigureCanvasAgg(figure)
     figure.text(
         _SIDE_PX / WIDTH_PX, 1 - 34 / total, page.title, fontsize=16, weight="bold", va="center",
-        color=palette.INK,
+        color=palette.INK, parse_math=False,
     )  # fmt: skip
     top = total - _TITLE_PX
     for row in rows:
@@ -239,8 +239,9 @@ def _draw_foot(
     for number, line in enumerate(reversed(lines)):
         height = (_BOTTOM_PX + _CAPTION_ROW_PX * number) / total
         figure.text(
-            _SIDE_PX / WIDTH_PX, height, line, fontsize=10.5, color=palette.FAINT, va="bottom"
-        )
+            _SIDE_PX / WIDTH_PX, height, line, fontsize=10.5, color=palette.FAINT, va="bottom",
+            parse_math=False,
+        )  # fmt: skip
 
 
 def _legend_shape(legend: Sequence[Artist]) -> tuple[int, int]:
