@@ -89,7 +89,9 @@ def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
     view = json.loads(result.stdout)["view"]
     assert view["url"] is None
     names = [Path(file).name for file in view["pictures"]]
-    kinds = ("regions", "points", "rows", "coverage", "stations", "reach")
+    kinds = (
+        "regions", "points", "rows", "coverage", "stations", "reach", "order", "joints", "timeline",
+    )  # fmt: skip
     assert names == [f"{kind}.png" for kind in kinds]
     for file in view["pictures"]:
         assert Path(file).parent == Path("plan-flat")
@@ -102,6 +104,31 @@ def test_plan_writes_pictures_beside_the_plan(tmp_path):
     written = {path.name for path in (tmp_path / "here").iterdir()}
     assert written >= {"scan_path.json", "summary.json", "regions.png", "stations.png"}
     assert str(tmp_path / "here" / "coverage.png") in result.stdout.replace("\n", "")
+
+
+def test_pictures_end_with_what_is_planned(tmp_path):
+    arguments = ("--view", "--until", "stations", "--out", tmp_path / "here", "--json")
+    result = invoke("plan", flat_mesh(tmp_path), *arguments)
+    assert result.exit_code == 0, result.stderr
+    names = [Path(file).name for file in json.loads(result.stdout)["view"]["pictures"]]
+    assert names[-1] == "reach.png" and "order.png" not in names
+
+
+def test_plan_animates_the_arm(tmp_path, monkeypatch):
+    monkeypatch.setattr("skinplan.view.animation.MOST_FRAMES", 3)
+    arguments = ("--animate", "--out", tmp_path / "here", "--json")
+    result = invoke("plan", flat_mesh(tmp_path), *arguments)
+    assert result.exit_code == 0, result.stderr
+    pictures = [Path(file) for file in json.loads(result.stdout)["view"]["pictures"]]
+    assert [file.name for file in pictures][-2:] == ["timeline.png", "motion.gif"]
+    assert pictures[-1].read_bytes().startswith(b"GIF89a")
+
+
+def test_an_animation_without_trajectories_is_refused_before_planning(tmp_path):
+    result = invoke("plan", flat_mesh(tmp_path), "--animate", "--until", "stations")
+    assert result.exit_code == 2
+    assert "--until trajectory" in " ".join(result.stderr.split())
+    assert "scan path" not in result.stderr
 
 
 def test_pictures_that_can_not_be_written_are_a_named_error(tmp_path, monkeypatch):

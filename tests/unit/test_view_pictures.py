@@ -82,14 +82,18 @@ def test_all_pictures_of_a_plan_are_written(subject, tmp_path):
     written = write_pictures(subject, tmp_path / "new", lambda share, text: told.append(share))
     names = [file.name for file in written]
     assert names == [
-        f"{name}.png" for name in ("regions", "points", "rows", "coverage", "stations", "reach")
-    ]
+        f"{name}.png"
+        for name in (
+            "regions", "points", "rows", "coverage", "stations", "reach", "order", "joints",
+            "timeline",
+        )
+    ]  # fmt: skip
     for file in written:
         picture = image_of(file.read_bytes())
         assert picture.shape[1] == 1600
         assert 400 < picture.shape[0] < 3000
         assert 0.02 < (picture < 250).any(axis=2).mean() < 0.98
-    assert told == sorted(told) and len(told) == 6
+    assert told == sorted(told) and len(told) == 9
 
 
 def test_only_what_is_planned_is_drawn(subject):

@@ -15,12 +15,13 @@ from skinplan.view.motion import StationMotion, station_motions
 from skinplan.view.scene_arm import ArmView
 from skinplan.view.subject import Subject
 
-SCAN_M, TRANSIT_M = 0.006, 0.002
+SCAN_M, TRANSIT_M = 0.008, 0.003
 _WAY_STEP_S = 0.1
 _CLOCK_STEP_S = 0.05
 _TICK_S = 0.05
 _FASTER = ("1", "2", "5", "10")
-_TRANSIT: palette.Colour = (0.40, 0.42, 0.45)
+_TRANSIT: palette.Colour = (0.20, 0.21, 0.23)  # the scene is brightly lit
+_BAR_STOPS = 7
 
 Show = Callable[[StationMotion, float], None]
 
@@ -100,6 +101,7 @@ class MotionClock:
             )
             self.button: Any = gui.add_button("Play")
             self.faster: Any = gui.add_dropdown("Times faster", _FASTER, initial_value="1")
+            gui.add_html(time_legend(max(motion.duration_s for motion in motions)))
             self._told: Any = gui.add_markdown("")
         self._quiet = False
         self.slider.on_update(lambda _: self._moved())
@@ -207,6 +209,20 @@ def add_motion(
         told.content = ""
 
     return MotionClock(gui, motions, show), add_ways(scene, motions)
+
+
+def time_legend(longest_s: float) -> str:
+    """Returns the bar that says which colour of the way is which time, as HTML."""
+    colours = palette.time_colours(np.linspace(0.0, 1.0, _BAR_STOPS))
+    stops = ", ".join(
+        f"rgb({red}, {green}, {blue})" for red, green, blue in np.rint(255 * colours).astype(int)
+    )
+    bar = f'<div style="height:.6em;background:linear-gradient(to right, {stops})"></div>'
+    ends = (
+        '<div style="display:flex;justify-content:space-between"><span>0 s</span>'
+        f"<span>way while scanning</span><span>{longest_s:.0f} s</span></div>"
+    )
+    return f'<div style="margin:0 1em;font-size:.85em">{bar}{ends}</div>'
 
 
 def _last(motion: StationMotion) -> float:
