@@ -20,7 +20,9 @@ _WAY_STEP_S = 0.1
 _CLOCK_STEP_S = 0.05
 _TICK_S = 0.05
 _FASTER = ("1", "2", "5", "10")
-_TRANSIT: palette.Colour = (0.20, 0.21, 0.23)  # the scene is brightly lit
+_TRANSIT: palette.Colour = (0.40, 0.42, 0.45)
+# The viewer brightens lines: darker ones look on the screen as the legend says.
+_LIGHT = 1.8
 _BAR_STOPS = 7
 
 Show = Callable[[StationMotion, float], None]
@@ -66,9 +68,8 @@ def add_ways(scene: Any, motions: Sequence[StationMotion]) -> dict[str, list[Any
         lines, colours = way_lines(motions, kind)
         if len(lines):
             node = f"/part/way/{'scan' if kind == SCAN else 'transit'}"
-            handle = scene.add_line_segments(
-                node, lines.astype(np.float32), colours, thickness=width
-            )
+            lit = np.rint(255.0 * (colours / 255.0) ** _LIGHT).astype(np.uint8)
+            handle = scene.add_line_segments(node, lines.astype(np.float32), lit, thickness=width)
             layers[name] = [handle]
     return layers
 
