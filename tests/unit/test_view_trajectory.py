@@ -376,6 +376,18 @@ def test_two_points_are_enough():
     assert "All points are scanned." in words(figure)
 
 
+@pytest.mark.filterwarnings("error")
+def test_a_motion_without_duration_has_no_time_to_divide_by():
+    still = scene.segment(SCAN, [0.0], scene.joints_at(0, np.array([22])), (22,))
+    shown = scene.subject_of(((still,), None), skipped=((), ()))
+    figure = order_figure(Stage(shown))
+    png(figure)
+    assert len(figure.axes) == 1 and "1 point, 0 breaks" in words(figure)
+    png(timeline_figure(shown))
+    with pytest.raises(InputError, match="with a motion"):
+        joints_figure(shown)
+
+
 def test_values_that_are_not_finite_never_reach_a_picture():
     good = scene.first_station()
     for name in ("positions", "velocities", "times"):

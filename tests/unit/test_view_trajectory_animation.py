@@ -19,6 +19,8 @@ from skinplan.view.animation import (
     HEAD_PX,
     HEAD_WIDTH_PX,
     LAST_MS,
+    Frame,
+    _views,
     drawn_frames,
     moments,
     motion_gif,
@@ -38,6 +40,7 @@ from skinplan.view.stage import Stage
 
 WIDTH = 240
 FRAMES = 24
+SCAN_END_S = 6.0
 
 
 @pytest.fixture(autouse=True)
@@ -176,7 +179,7 @@ def test_the_seen_area_grows_to_what_brute_force_finds():
     motion = motions()[0]
     shares, poses = [seen.share], motion.scanner(motion.joints(motion.point_s))
     for pose in poses:
-        seen.look(pose[None])
+        seen.look(pose[None], True)
         shares.append(seen.share)
     assert shares[0] == 0.0 and np.all(np.diff(shares) >= 0.0)
     samples = sample_surface(subject.mesh, 0.012)
@@ -191,8 +194,8 @@ def test_the_seen_area_grows_to_what_brute_force_finds():
 def test_faces_have_the_colour_of_what_was_and_is_seen():
     seen = SeenSurface(stage(), stage().subject.scanner)
     motion = motions()[0]
-    seen.look(motion.scanner(motion.joints(motion.point_s[:1])))
-    seen.look(motion.scanner(motion.joints(motion.point_s[4:5])))
+    seen.look(motion.scanner(motion.joints(motion.point_s[:1])), True)
+    seen.look(motion.scanner(motion.joints(motion.point_s[4:5])), True)
     colours = seen.face_colours()
     middles = stage().display.mesh.centroids[:, :2]
     radius = stage().subject.scanner.field_radius_m
@@ -206,8 +209,31 @@ def test_faces_have_the_colour_of_what_was_and_is_seen():
     only_before = was_seen & (np.linalg.norm(middles - now, axis=1) > radius + 0.02)
     assert np.all(colours[only_before] == SEEN) and only_before.any()
     assert np.all(colours[far] == UNSEEN) and far.any()
-    seen.look(np.zeros((0, 4, 4)))
+    seen.look(np.zeros((0, 4, 4)), False)
     assert not np.any(np.all(seen.face_colours() == IN_VIEW, axis=1))
+
+
+def test_nothing_is_in_view_in_a_transit_after_a_scan():
+    """Between two frames a scan ended: its views count, but none of them is now."""
+    motion = motions()[0]
+    seen, end = SeenSurface(stage(), stage().subject.scanner), SCAN_END_S
+    views = _views(Frame(motion, end - 0.5), Frame(motion, end + 0.5))
+    assert 5 <= len(views) <= 8 and not motion.is_scanning(end + 0.5)
+    seen.look(views, motion.is_scanning(end + 0.5))
+    assert seen.share > 0.1
+    assert not np.any(np.all(seen.face_colours() == IN_VIEW, axis=1))
+    seen.look(views, True)
+    assert np.any(np.all(seen.face_colours() == IN_VIEW, axis=1))
+
+
+def test_views_of_another_station_are_not_taken_in_again():
+    first, second = motions()
+    assert len(_views(Frame(first, 14.0), Frame(second, 0.5))) == 0
+    whole = _views(None, Frame(second, 7.0))
+    # All of the scan from 1 s to 6 s, ten a second; its points are among them.
+    assert 50 <= len(whole) <= 60
+    gaps = np.linalg.norm(whole[:, None, :3, 3] - scene.PATH.positions[None, second.points], axis=2)
+    assert gaps.min(axis=0) == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_animation_shows_the_seen_area_growing():

@@ -118,16 +118,15 @@ def drawn_frames(stage: Stage, width_px: int = WIDTH_PX) -> Iterator[tuple[float
     view, seen = AnimationView(stage, motions, width_px), SeenSurface(stage, subject.scanner)
     before: Frame | None = None
     for number, frame in enumerate(frames):
-        seen.look(_views(before, frame))
+        scanning = frame.motion.is_scanning(frame.time_s)
+        seen.look(_views(before, frame), scanning)
         q = frame.motion.joints(np.array([frame.time_s]))[0]
         body = Image.fromarray(view.image(frame.motion, q, seen.face_colours()))
         page = Image.new("RGB", (max(body.width, HEAD_WIDTH_PX), body.height + HEAD_PX), "white")
         corner = ((page.width - body.width) // 2, HEAD_PX)
         page.paste(body, corner)
         _draw_axis(page, corner, stage, view, frame, q)
-        _draw_words(
-            page, _words(stage, frame, faster), seen.share, frame.motion.is_scanning(frame.time_s)
-        )
+        _draw_words(page, _words(stage, frame, faster), seen.share, scanning)
         yield (number + 1) / len(frames), page
         before = frame
 

@@ -39,7 +39,7 @@ _BOX_FACES = (
 
 
 class SeenSurface:
-    """What the scanner has seen of a part up to now.
+    """What the scanner has seen of a part up to now; the fixture hides nothing here.
 
     Attributes:
         share: Share of the area seen at least once [1].
@@ -65,20 +65,21 @@ class SeenSurface:
         seen = self._weights[self._tally.views > 0].sum()
         return float(seen / self._weights.sum())
 
-    def look(self, T_workpiece_scanner: Array) -> None:
-        """Takes in what the scanner sees on its way; the last view is the one now.
+    def look(self, T_workpiece_scanner: Array, now: bool) -> None:
+        """Takes in what the scanner sees on its way.
 
         Args:
-            T_workpiece_scanner: Poses of the scanner, shape (n, 4, 4) [m]; none = it is not
-                scanning.
+            T_workpiece_scanner: Poses of the scanner while it scans, shape (n, 4, 4) [m].
+            now: Whether the last pose is the one of this moment: what it sees is in view. Else
+                nothing is.
         """
-        self._in_view[:] = False
-        if not len(T_workpiece_scanner):
-            return
         places, views = T_workpiece_scanner[:, :3, 3], T_workpiece_scanner[:, :3, 0]
-        self._tally.add_until(places[:-1], views[:-1], 1)
+        last = len(places) - 1 if now else len(places)
+        if last > 0:
+            self._tally.add_until(places[:last], views[:last], 1)
         before = self._tally.views.copy()
-        self._tally.add(places[-1:], views[-1:])
+        if len(places) > last >= 0:
+            self._tally.add(places[last:], views[last:])
         self._in_view = self._tally.views > before
 
     def face_colours(self) -> Array:

@@ -30,6 +30,7 @@ _NUMBER_GAP_PX = 24.0
 _NUMBER_LIFT_PT = 10.0
 _BAR_PX = 16.0
 _BAR_STEPS = 512
+_SHORTEST_S = 1e-6  # a scan of one point may take no time
 
 
 def order_figure(stage: Stage) -> Figure:
@@ -141,7 +142,7 @@ def _draw(
         times, places = motion.way(segment)
         flat = view.plane(places)
         if kind == SCAN:
-            _draw_scan(axes, flat, times / longest_s)
+            _draw_scan(axes, flat, times / max(longest_s, _SHORTEST_S))
         else:
             dashes = (0, (5, 3))
             axes.plot(*flat.T, color=_TRANSIT, linewidth=TRANSIT_PT, linestyle=dashes, zorder=4)

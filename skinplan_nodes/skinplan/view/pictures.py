@@ -40,7 +40,8 @@ def figures(subject: Subject, stage: Stage | None = None) -> dict[str, Callable[
         makers["reach"] = lambda: reach_picture.reach_figure(stage)
     if subject.path is not None and subject.station_plan is not None and subject.trajectories:
         makers["order"] = lambda: order_figure(stage)
-        if any(trajectory.segments for trajectory in subject.trajectories):
+        segments = (s for trajectory in subject.trajectories for s in trajectory.segments)
+        if any(segment.duration_s > 0.0 for segment in segments):
             makers["joints"] = lambda: joints_figure(subject)
         if subject.cycle is not None:
             makers["timeline"] = lambda: timeline_figure(subject)
