@@ -8,13 +8,13 @@ from skinplan.trajectory.bezier_curve import BezierCurve
 from skinplan.trajectory.pacing import Course, paces, parabolas
 from skinplan.trajectory.sampling import sample_shares
 from skinplan.trajectory.timing import Limits, Timed
-from skinplan.transforms import Array
+from skinplan.transforms import Array, inverse
 
 _ROUNDS = 24  # of correcting the pace by what the curve really needs ...
 _FREE_ROUNDS = 14  # ... of which the first also let unused acceleration be used
 _FITS = 1.001  # so little slowing is not worth another round
-_GRID = 8  # places in a segment where the scanner's speed is checked
-_GRID_MARGIN = 0.995  # so much of the scanner's speed limit is used, for what is between them
+_GRID_S = 0.006  # the scanner's speed is checked so often ...
+_GRID_MARGIN = 0.995  # ... and so much of its limit is used, for what is between
 
 
 def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.0005) -> Timed:
@@ -36,12 +36,8 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
     """
     if not deviation_m > 0.0:
         raise InputError(f"a deviation above 0 m is accepted, found {deviation_m}")
-    course, curve, pace = _driven(arm, q, limits)
+    course, curve = _driven(arm, q, limits)
     segment, share = sample_shares(curve.durations, curve.largest(2), arm.lever_arms(), deviation_m)
-    # Along a segment the pace changes evenly from that of its first position to that of its last.
-    change = pace[segment + 1] - pace[segment]
-    gone = share * (pace[segment] + 0.5 * share * change) / (0.5 * change + pace[segment])
-    step = np.diff(course.places)
     positions, velocities = curve.inside(segment, share), curve.inside(segment, share, 1)
     velocities[[0, -1]] = 0.0
     whole = share == 0.0
@@ -51,13 +47,28 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
         times=curve.times[segment] + share * curve.durations[segment],
         positions=positions,
         velocities=velocities,
-        path=course.places[segment] + gone * step[segment],
+        path=_places(course, curve.durations, segment, share),
     )
 
 
 def bezier_curve(arm: ArmModel, q: Array, limits: Limits) -> BezierCurve:
     """Returns the curve that `time_bezier` samples; arguments and errors as there."""
     return _driven(arm, q, limits)[1]
+
+
+def _places(course: Course, durations: Array, segment: Array, share: Array) -> Array:
+    """Where on the path given shares of segments lie, shape (m,): a rising cubic in each."""
+    step = np.diff(course.places)
+    rates = step / durations
+    slopes = np.zeros(len(durations) + 1)
+    slopes[1:-1] = (rates[:-1] * durations[1:] + rates[1:] * durations[:-1]) / (
+        durations[:-1] + durations[1:]
+    )
+    slopes[1:-1] = np.minimum(slopes[1:-1], 3.0 * np.minimum(rates[:-1], rates[1:]))
+    start, end = (slopes[:-1] / rates)[segment], (slopes[1:] / rates)[segment]
+    u, left = share, 1.0 - share
+    gone = u * left**2 * start + u**2 * (3.0 - 2.0 * u) - u**2 * left * end
+    return np.asarray(course.places[segment] + gone * step[segment])
 
 
 def largest_jerk(timed: Timed) -> float:
@@ -74,49 +85,44 @@ def largest_jerk(timed: Timed) -> float:
     return float(np.abs(2.0 * np.diff(rate, axis=0) / (step[1:] + step[:-1])).max())
 
 
-def _driven(arm: ArmModel, q: Array, limits: Limits) -> tuple[Course, BezierCurve, Array]:
-    """The course, the fastest curve found that keeps the limits, and its pace at the knots."""
+def _driven(arm: ArmModel, q: Array, limits: Limits) -> tuple[Course, BezierCurve]:
+    """The course, and the fastest curve found that keeps the limits."""
     course = Course.through(_require_path(arm, q, limits))
     fastest = _fastest(arm, course, limits)
-    budget = np.full(len(fastest), float(limits.acceleration))
-    best, best_pace, least = None, fastest, np.inf
+    budget = np.full(len(course.positions), float(limits.acceleration))
+    best, least = None, np.inf
     for turn in range(_ROUNDS):
-        pace = paces(course, fastest, budget)
-        curve = _curve(course, pace)
-        speed, rate = _use(arm, curve, limits)
+        free = turn < _FREE_ROUNDS
+        durations = course.lengths / paces(course, fastest, budget)
+        # At rest at both ends, else along the parabolas through neighbours.
+        curve = BezierCurve(durations, course.positions, *parabolas(durations, course.positions))
+        speed, rate = _use(arm, curve, limits, np.inf if free else _GRID_S)
         slowing = max(float(speed.max()), float(np.sqrt(rate.max())))
-        if slowing * curve.times[-1] < least:
-            least = slowing * curve.times[-1]
-            best, best_pace = curve.slowed(slowing), pace
-        if turn >= _FREE_ROUNDS and slowing < _FITS:
+        if not free and slowing * curve.times[-1] < least:
+            best, least = curve.slowed(slowing), slowing * curve.times[-1]
+        if not free and slowing < _FITS:
             break
-        fastest = fastest / np.maximum(_about_knots(speed), 1.0)
-        lowest, power = (0.8, 0.7) if turn < _FREE_ROUNDS else (1.0, 1.0)
+        fastest = fastest / np.maximum(speed, 1.0)
+        lowest, power = (0.8, 0.7) if free else (1.0, 1.0)
         budget = budget / np.clip(_about_knots(rate), lowest, 2.0) ** power
         budget = np.minimum(budget, 1.2 * limits.acceleration)
-    assert best is not None  # the first round has made one
-    return course, best, best_pace
+    assert best is not None  # one of the later rounds has made it
+    return course, best
 
 
-def _curve(course: Course, pace: Array) -> BezierCurve:
-    """The curve of a pace: at rest at both ends, else along the parabolas through neighbours."""
-    durations = 2.0 * course.lengths / (pace[:-1] + pace[1:])
-    return BezierCurve(durations, course.positions, *parabolas(durations, course.positions))
-
-
-def _use(arm: ArmModel, curve: BezierCurve, limits: Limits) -> tuple[Array, Array]:
+def _use(arm: ArmModel, curve: BezierCurve, limits: Limits, grid_s: float) -> tuple[Array, Array]:
     """How much of the speed limits and of the acceleration limit segments use, each (n,)."""
     speed = (curve.largest(1) / limits.velocity).max(axis=1)
     rate = curve.largest(2).max(axis=1) / limits.acceleration
     if np.isfinite(limits.tcp_speed):
-        count = len(curve.durations)
-        segment = np.repeat(np.arange(count), _GRID)
-        share = np.tile(np.arange(_GRID) / _GRID, count)
+        counts = np.maximum(2, np.ceil(curve.durations / grid_s)).astype(np.int64)
+        first = np.cumsum(counts) - counts
+        segment = np.repeat(np.arange(len(counts)), counts)
+        share = (np.arange(len(segment)) - first[segment]) / counts[segment]
         tcp = _tcp_speeds(arm, curve.inside(segment, share), curve.inside(segment, share, 1))
-        most = tcp.reshape(count, _GRID)
-        ends = np.append(most[1:, 0], 0.0)
-        tcp = np.maximum(most.max(axis=1), ends) / (_GRID_MARGIN * limits.tcp_speed)
-        speed = np.maximum(speed, tcp)
+        ends = np.append(tcp[first[1:]], 0.0)
+        most = np.maximum(np.maximum.reduceat(tcp, first), ends)
+        speed = np.maximum(speed, most / (_GRID_MARGIN * limits.tcp_speed))
     return speed, rate
 
 
@@ -126,21 +132,21 @@ def _about_knots(use: Array) -> Array:
 
 
 def _fastest(arm: ArmModel, course: Course, limits: Limits) -> Array:
-    """Largest pace at the knots that joint and scanner speed limits allow, shape (k,) [rad/s]."""
-    use = (np.abs(course.tangents) / limits.velocity).max(axis=1)
+    """Largest pace of the steps that joint and scanner speed limits allow, shape (n,) [rad/s]."""
+    use = (np.abs(course.directions) / limits.velocity).max(axis=1)
     if np.isfinite(limits.tcp_speed):
-        tcp = _tcp_speeds(arm, course.positions, course.tangents)
+        middle = 0.5 * (course.positions[:-1] + course.positions[1:])
+        tcp = _tcp_speeds(arm, middle, course.directions)
         use = np.maximum(use, tcp / (_GRID_MARGIN * limits.tcp_speed))
-    # A course that turns back has no tangent at the turn; its neighbours limit the pace there.
-    steps = np.diff(course.positions, axis=0) / course.lengths[:, None]
-    chord = _about_knots((np.abs(steps) / limits.velocity).max(axis=1))
-    return np.asarray(1.0 / np.maximum(use, 0.5 * chord))
+    return np.asarray(1.0 / use)
 
 
 def _tcp_speeds(arm: ArmModel, q: Array, velocities: Array) -> Array:
     """Speeds of the scanner's origin, shape (n,) [m/s], by the geometric Jacobian."""
+    zero = np.zeros((1, 6))
+    T_6_scanner = inverse(arm.links(zero)[0, 6]) @ arm.forward_scanner(zero)[0]
     links = arm.links(q)
-    scanner = arm.forward_scanner(q)[:, :3, 3]
+    scanner = links[:, 6, :3, :3] @ T_6_scanner[:3, 3] + links[:, 6, :3, 3]
     axes = np.einsum("njab,jb->nja", links[:, 1:, :3, :3], arm.axes)
     arms = scanner[:, None] - links[:, 1:, :3, 3]
     return np.asarray(
@@ -151,7 +157,9 @@ def _tcp_speeds(arm: ArmModel, q: Array, velocities: Array) -> Array:
 def _require_path(arm: ArmModel, q: Array, limits: Limits) -> Array:
     q = arm.require_joints(q)
     if len(q) < 2:
-        raise JointsInvalidError(f"a path of at least 2 joint positions is accepted, found {len(q)}")
+        raise JointsInvalidError(
+            f"a path of at least 2 joint positions is accepted, found {len(q)}"
+        )
     same = np.flatnonzero(~np.any(np.diff(q, axis=0), axis=1))
     if len(same):
         raise JointsInvalidError(

@@ -13,7 +13,9 @@ import numpy as np
 from skinplan.transforms import Array
 
 DEGREE = 5
-_HALVINGS = 40  # of a piece on which a cubic rises or falls: its root is exact to 1e-12 after them
+# A piece on which a cubic rises or falls is halved so often: the root is exact to 1e-8 then, the
+# value of an extremum there, which is flat, to 1e-15.
+_HALVINGS = 26
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,7 +26,8 @@ class BezierCurve:
     In the plane of time and angle that makes position and velocity continuous, as they also are
     spaced like the durations. The acceleration is continuous because the second ones on either
     side belong to one parabola. (On the same line, as a second reading would have them, the
-    acceleration would have to vanish at every position that the motion passes.)
+    acceleration would vanish at every position passed: on the ways of the sample parts that doubles
+    the mean jerk and takes 1 to 4 % longer.)
 
     Attributes:
         durations: Of the segments, shape (n,) [s].
@@ -83,10 +86,18 @@ class BezierCurve:
             Coefficients, shape (n, 6 - order, 6 joints) [rad/s^order]; the derivative never leaves
             the range of a segment's coefficients.
         """
-        values = self._offsets
-        for degree in range(DEGREE, DEGREE - order, -1):
-            values = degree * np.diff(values, axis=1) / self.durations[:, None, None]
-        return values
+        h = self.durations[:, None]
+        v, a = self.velocities, self.accelerations
+        pace = 5.0 * np.diff(self.positions, axis=0) / h - 2.0 * (v[:-1] + v[1:])
+        middle = pace + 0.25 * h * np.diff(a, axis=0)
+        # Written out, not as differences of the angles: those of a tiny step have no digits left.
+        if order == 1:
+            start, end = v[:-1] + 0.25 * h * a[:-1], v[1:] - 0.25 * h * a[1:]
+            return np.stack([v[:-1], start, middle, end, v[1:]], axis=1)
+        start = 4.0 * (middle - v[:-1]) / h - a[:-1]
+        end = 4.0 * (v[1:] - middle) / h - a[1:]
+        values = np.stack([a[:-1], start, end, a[1:]], axis=1)
+        return values if order == 2 else np.asarray(3.0 * np.diff(values, axis=1) / h[:, None])
 
     def at(self, times: Array, order: int = 0) -> Array:
         """Evaluates the curve or a derivative.
@@ -150,9 +161,10 @@ class BezierCurve:
             Distances in joint space, shape (n,) [rad].
         """
         step = np.diff(self.positions, axis=0)
-        share = np.einsum("nkj,nj->nk", self._offsets, step) / np.einsum("nj,nj->n", step, step)[
-            :, None
-        ]
+        share = (
+            np.einsum("nkj,nj->nk", self._offsets, step)
+            / np.einsum("nj,nj->n", step, step)[:, None]
+        )
         nearest = np.clip(share, 0.0, 1.0)[:, :, None] * step[:, None]
         return np.asarray(np.linalg.norm(self._offsets - nearest, axis=2).max(axis=1))
 
@@ -213,10 +225,16 @@ def _cubic_roots(values: Array) -> Array:
     ends = np.zeros((*turning.shape[:-1], 1))
     low = np.concatenate([ends, turning], axis=-1)
     high = np.concatenate([turning, ends + 1.0], axis=-1)
-    spread = values[..., None, :]
-    rises = _polynomial(spread, high) > _polynomial(spread, low)
+    first, second, third, last = (values[..., None, k] for k in range(4))
+    slope, bend = 3.0 * (second - first), 3.0 * (first - 2.0 * second + third)
+    twist = last - first + 3.0 * (second - third)
+
+    def cubic(share: Array) -> Array:
+        return ((twist * share + bend) * share + slope) * share + first
+
+    rises = cubic(high) > cubic(low)
     for _ in range(_HALVINGS):
         middle = 0.5 * (low + high)
-        beyond = (_polynomial(spread, middle) > 0.0) == rises
+        beyond = (cubic(middle) > 0.0) == rises
         low, high = np.where(beyond, low, middle), np.where(beyond, middle, high)
     return np.asarray(0.5 * (low + high))

@@ -1,12 +1,14 @@
-"""How fast a joint path may be gone along: the pace at its positions, as fast as limits allow.
+"""How fast a joint path may be gone along: the pace of its steps, as fast as limits allow.
 
-The path is parametrised by its length in joint space. At each position it has the tangent and the
-bend of the parabola through that position and its neighbours, so that joint velocity and
-acceleration are ``tangent * pace`` and ``bend * pace^2 + tangent * (change of pace)``. One pass
-forward and one backward make the pace as large as the accelerations allow.
+The path is parametrised by its length in joint space; a step's pace is its length by its duration.
+At each position the motion has the velocity and the acceleration of the parabola through that
+position and its neighbours in time: with the mean velocities m of the steps before and behind and
+their durations h the acceleration is ``2 (m' - m) / (h + h')``. One pass forward and one backward
+make the paces as large as the accelerations allow.
 """
 
 from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
@@ -24,15 +26,13 @@ class Course:
         positions: Joint positions, shape (k, 6) [rad].
         places: Where they are on the path given: number of the step plus share of it, shape (k,).
         lengths: Of the steps in joint space, shape (k - 1,) [rad].
-        tangents: Change of the joints along the path, shape (k, 6).
-        bends: Change of the tangent along the path, shape (k, 6) [1/rad].
+        directions: Of the steps, unit vectors, shape (k - 1, 6).
     """
 
     positions: Array
     places: Array
     lengths: Array
-    tangents: Array
-    bends: Array
+    directions: Array
 
     @classmethod
     def through(cls, q: Array) -> "Course":
@@ -42,10 +42,9 @@ class Course:
         share = (places - step)[:, None]
         positions = q[step] + share * (q[step + 1] - q[step])
         positions[-1] = q[-1]
-        lengths = np.linalg.norm(np.diff(positions, axis=0), axis=1)
-        tangents, bends = parabolas(lengths, positions)
-        tangents[[0, -1]] = (np.diff(positions, axis=0) / lengths[:, None])[[0, -1]]
-        return cls(positions, places, lengths, tangents, bends)
+        steps = np.diff(positions, axis=0)
+        lengths = np.linalg.norm(steps, axis=1)
+        return cls(positions, places, lengths, steps / lengths[:, None])
 
 
 def parabolas(steps: Array, values: Array) -> tuple[Array, Array]:
@@ -67,41 +66,52 @@ def parabolas(steps: Array, values: Array) -> tuple[Array, Array]:
 
 
 def paces(course: Course, fastest: Array, acceleration: Array) -> Array:
-    """Returns the pace at each position, zero at both ends, shape (k,) [rad/s].
+    """Returns the pace of each step, from rest to rest, shape (k - 1,) [rad/s].
 
     Args:
         course: The path.
-        fastest: Largest pace, shape (k,) [rad/s].
+        fastest: Largest pace of each step, shape (k - 1,) [rad/s].
         acceleration: Limit of each joint's acceleration at each position, shape (k,) [rad/s^2].
     """
-    bend = np.abs(course.bends).max(axis=1)
-    square = np.minimum(fastest**2, acceleration / np.maximum(bend, 1e-12))
-    square[[0, -1]] = 0.0
-    forward = _pass(course, square, acceleration, 1.0)
-    backward = _pass(course, forward, acceleration, -1.0)
-    return np.sqrt(backward)
+    lengths, directions = course.lengths, course.directions
+    # Where the path bends, steps of one pace: |change of direction| pace = acceleration * time.
+    bend = np.maximum(np.abs(np.diff(directions, axis=0)).max(axis=1), 1e-12)
+    turn = np.sqrt(0.5 * acceleration[1:-1] * (lengths[:-1] + lengths[1:]) / bend)
+    # At the ends, from rest: half the acceleration for the whole step.
+    size = np.abs(directions).max(axis=1)
+    ends = np.sqrt(0.5 * acceleration[[0, -1]] * lengths[[0, -1]] / size[[0, -1]])
+    most = np.minimum(fastest, np.minimum(np.append(ends[0], turn), np.append(turn, ends[1])))
+    forward = _pass(lengths, directions, most, acceleration[1:-1])
+    return _pass(lengths[::-1], directions[::-1], forward[::-1], acceleration[-2:0:-1])[::-1]
 
 
-def _pass(course: Course, square: Array, acceleration: Array, sense: float) -> Array:
-    """Limits the growth of the squared pace, forward or (sense -1) backward."""
-    turn = slice(None, None, int(sense))
-    tangents = course.tangents
-    size = np.abs(tangents)
-    # Along the path (sense 1) a joint may speed up by what its limit leaves beside the bend.
-    bends = np.where(tangents < 0.0, -course.bends, course.bends) * sense
+def _pass(lengths: Array, directions: Array, most: Array, acceleration: Array) -> Array:
+    """Limits the growth of the pace from step to step.
+
+    For a joint that moves by ``u`` per length, its direction reckoned positive, the next pace x
+    solves ``u x - m = a / 2 (h + length / x)``: a quadratic equation.
+    """
+    sign = np.where(directions[1:] < 0.0, -1.0, 1.0)
     rows = zip(
-        (2.0 * course.lengths[turn]).tolist(),
-        np.where(size > 1e-9, size, 1e-9)[turn].tolist(),
-        (sense * bends)[turn].tolist(),
-        acceleration[turn].tolist(),
-        strict=False,
+        (sign * directions[:-1]).tolist(),
+        np.maximum(np.abs(directions[1:]), 1e-9).tolist(),
+        (0.5 * acceleration * lengths[:-1]).tolist(),
+        (0.5 * acceleration * lengths[1:]).tolist(),
+        strict=True,
     )
-    result = square[turn].tolist()
-    for number, (reach, sizes, bent, limit) in enumerate(rows):
-        here = result[number]
-        change = min((limit - b * here) / s for s, b in zip(sizes, bent, strict=True))
-        result[number + 1] = min(result[number + 1], here + reach * max(change, 0.0))
-    return np.array(result[turn])
+    result = most.tolist()
+    pace = result[0]
+    for number, (before, behind, held, gained) in enumerate(rows, 1):
+        gain = held / pace
+        for b, u in zip(before, behind, strict=True):
+            half = 0.5 * (b * pace + gain)
+            # The positive root, in the form that keeps its digits for a negative half.
+            root = sqrt(half * half + u * gained)
+            most_here = (half + root) / u if half > 0.0 else gained / (root - half)
+            if most_here < result[number]:
+                result[number] = most_here
+        pace = result[number]
+    return np.array(result)
 
 
 def _graded(lengths: Array) -> Array:
