@@ -1,6 +1,7 @@
 """Timing by quintic Bézier segments (R6): smooth joint motion, with bounded jerk."""
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skinplan.errors import InputError, JointsInvalidError
 from skinplan.robot.arm import ArmModel
@@ -56,7 +57,7 @@ def bezier_curve(arm: ArmModel, q: Array, limits: Limits) -> BezierCurve:
     return _driven(arm, q, limits)[1]
 
 
-def _places(course: Course, durations: Array, segment: Array, share: Array) -> Array:
+def _places(course: Course, durations: Array, segment: NDArray[np.int64], share: Array) -> Array:
     """Where on the path given shares of segments lie, shape (m,): a rising cubic in each."""
     step = np.diff(course.places)
     rates = step / durations
@@ -117,7 +118,7 @@ def _use(arm: ArmModel, curve: BezierCurve, limits: Limits, grid_s: float) -> tu
     if np.isfinite(limits.tcp_speed):
         counts = np.maximum(2, np.ceil(curve.durations / grid_s)).astype(np.int64)
         first = np.cumsum(counts) - counts
-        segment = np.repeat(np.arange(len(counts)), counts)
+        segment = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
         share = (np.arange(len(segment)) - first[segment]) / counts[segment]
         tcp = _tcp_speeds(arm, curve.inside(segment, share), curve.inside(segment, share, 1))
         ends = np.append(tcp[first[1:]], 0.0)

@@ -9,6 +9,7 @@ from functools import cached_property
 from math import comb
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skinplan.transforms import Array
 
@@ -110,11 +111,12 @@ class BezierCurve:
             shape (m, 6) [rad/s^order].
         """
         last = len(self.durations) - 1
-        segment = np.clip(np.searchsorted(self.times, times, side="right") - 1, 0, last)
+        before = np.searchsorted(self.times, times, side="right") - 1
+        segment = np.clip(before, 0, last).astype(np.int64)
         share = np.clip((times - self.times[segment]) / self.durations[segment], 0.0, 1.0)
         return self.inside(segment, share, order)
 
-    def inside(self, segment: Array, share: Array, order: int = 0) -> Array:
+    def inside(self, segment: NDArray[np.int64], share: Array, order: int = 0) -> Array:
         """Evaluates segments at shares of their duration.
 
         Args:
