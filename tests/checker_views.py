@@ -17,6 +17,7 @@ from skinplan.transforms import inverse
 NEAR_M = 0.003
 TURN_RAD = np.radians(1.0)
 RAY_M = 0.004
+DENSER = 8
 RANGE_SPARE_M = 0.003
 INCIDENCE_SPARE_RAD = np.radians(1.0)
 
@@ -73,27 +74,26 @@ def _deviation_faults(segment, there, times, views, owner, deviation_m):
 def _ray_faults(mesh, settings, segment, times, views, there, owner):
     caster = trimesh.Trimesh(mesh.vertices, mesh.faces, process=False).ray
     driven = _excess(caster, mesh, settings, views[:, :3, 3], views[:, :3, 0])
-    # The same for the straight way between the two points, and the worst of both for each pair.
+    # The same for the straight way between the two points, densely (a wall that faces away is a
+    # narrow strip), and the worst for each pair.
     following = np.minimum(owner + 1, len(there) - 1)
-    share = np.zeros(len(times))
-    for pair in range(owner.max() + 1):
-        here = np.flatnonzero(owner == pair)
-        share[here] = np.linspace(0.0, 1.0, len(here))
-    change = (there[following] - there[owner]) * share[:, None, None]
-    straight = there[owner] + change
+    pair = np.repeat(np.arange(owner.max() + 1), DENSER * np.bincount(owner))
+    share = np.concatenate([np.linspace(0.0, 1.0, DENSER * n) for n in np.bincount(owner) if n])
+    change = there[np.minimum(pair + 1, len(there) - 1)] - there[pair]
+    straight = there[pair] + change * share[:, None, None]
     axes = straight[:, :3, 0] / np.linalg.norm(straight[:, :3, 0], axis=1, keepdims=True)
     planned = _excess(caster, mesh, settings, straight[:, :3, 3], axes)
     worst = np.zeros((owner.max() + 1, 2))
-    np.maximum.at(worst, owner, planned)
+    np.maximum.at(worst, pair, planned)
     limit = np.where(worst > 0.0, worst + [RANGE_SPARE_M, INCIDENCE_SPARE_RAD], 0.0)[owner]
     texts = ("stand-off {:.4f} m outside the range", "incidence {:.3f} rad beyond the limit")
     for kind, text in enumerate(texts):
         wrong = np.flatnonzero(driven[:, kind] > limit[:, kind])
         if len(wrong):
             most = wrong[np.argmax(driven[wrong, kind])]
-            pair = segment.points[owner[most]], segment.points[following[most]]
+            ends = segment.points[owner[most]], segment.points[following[most]]
             yield (
-                f"{text.format(driven[most, kind])} from point {pair[0]} to point {pair[1]}, "
+                f"{text.format(driven[most, kind])} from point {ends[0]} to point {ends[1]}, "
                 f"{times[most]:.3f} s after the start"
             )
 

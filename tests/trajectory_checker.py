@@ -6,9 +6,9 @@ Tolerances, and why:
   lines: the mean velocity of each interval keeps the limit. By cubics: a motion whose acceleration
   is within A everywhere has a mean acceleration within A in each interval of length h, and its
   samples can differ from the trapezoid rule by A h^2 / 4 (1 - (mean / A)^2) at most; whenever they
-  differ by less, such a motion through them exists. (A is taken 1 % larger here.) The cubic through such samples may exceed the
-  velocity limit by 3/8 A h in between, and A itself by two thirds: it can't follow a jump of the
-  acceleration.
+  differ by less, such a motion through them exists. (A is taken 1 % larger here.) The cubic through
+  such samples may exceed the velocity limit by 3/8 A h in between, and A itself by two thirds: it
+  can't follow a jump of the acceleration.
 - Collision is checked where no part of the arm has moved more than 10 mm since the place before, at
   half the planner's margin of 20 mm: what is between two such places is free.
 - The scanner's speed is that of both interpolations at 1 ms: within 1 % by lines, within 3 % by

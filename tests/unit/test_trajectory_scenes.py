@@ -1,0 +1,85 @@
+"""Whole plans of the sample scenes and of real panels, judged by the independent checker."""
+
+import dataclasses
+
+import pytest
+
+from skinplan.part.model import ScanSettings
+from skinplan.part.resolve import resolve_part
+from skinplan.part.samples import PANELS, write_sample
+from skinplan.pipeline import plan_part
+from skinplan.robot.cell import CellConfig
+from skinplan.trajectory.plan import STRATEGIES
+from trajectory_checker import check_plan
+
+CELL = CellConfig()
+REAL_PANELS = (
+    "crm_fuselage_side_2.9x0.8",
+    "crm_wing_upper_2.9x0.8",
+    "d150_nose_rippled_1.8x0.8",
+    "gom_b737_wing_manholes_2.6x0.8",
+    "helibody_tailboom_2.2x0.6",
+    "reach_hood_1.6x1.4",
+)
+# Every order there is, on a small and on a smooth scene; the default is judged on all scenes.
+ORDERS = [
+    (scene, order)
+    for order in STRATEGIES
+    if order != ScanSettings().order_strategy
+    for scene in ("scene1", "scene2")
+]
+
+
+@pytest.fixture(scope="session")
+def scene_plan(tmp_path_factory):
+    """Plans a sample scene; each combination of scene and strategies once in a session."""
+    known = {}
+
+    def plan(name, **strategies):
+        key = (name, *sorted(strategies.items()))
+        if key not in known:
+            part = write_sample(name, tmp_path_factory.mktemp(name))
+            scan = dataclasses.replace(part.scan, **strategies)
+            known[key] = plan_part(dataclasses.replace(part, scan=scan), CELL)
+        return known[key]
+
+    return plan
+
+
+def scanned_share(plan):
+    return sum(len(s.points) for t in plan.trajectories for s in t.segments) / len(plan.path)
+
+
+@pytest.mark.parametrize("name", PANELS)
+def test_the_default_plan_of_a_scene_is_without_fault(scene_plan, name):
+    plan = scene_plan(name)
+    assert check_plan(plan, CELL) == []
+    assert scanned_share(plan) >= 0.98
+
+
+@pytest.mark.parametrize(("name", "order"), ORDERS)
+def test_every_order_of_visit_gives_plans_without_fault(scene_plan, name, order):
+    plan = scene_plan(name, order_strategy=order)
+    assert check_plan(plan, CELL) == []
+    assert scanned_share(plan) >= 0.98
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", PANELS)
+def test_the_published_plan_of_a_scene_is_without_fault(scene_plan, name):
+    plan = scene_plan(
+        name, strategy="published", station_strategy="rectangles", order_strategy="published"
+    )
+    assert check_plan(plan, CELL) == []
+    assert scanned_share(plan) >= 0.9
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("name", REAL_PANELS)
+def test_the_plan_of_a_real_panel_is_without_fault(shared_data, tmp_path, name):
+    file = shared_data / "panels" / f"{name}.stl"
+    if not file.is_file():
+        pytest.skip(f"needs the mesh {file}, which is not there")
+    plan = plan_part(resolve_part(str(file), "m", tmp_path), CELL)
+    assert check_plan(plan, CELL) == []
+    assert scanned_share(plan) >= 0.9
