@@ -255,6 +255,24 @@ def test_the_jerk_is_bounded_and_topp_ra_has_none():
     assert 0.0 < largest_jerk(two) <= bezier_curve(ARM, WAYS["one step"], FREE).largest_jerk
 
 
+@EACH_WAY
+def test_lines_between_the_samples_keep_the_scanner_within_its_speed(q):
+    timed = time_bezier(ARM, q, SCAN)
+    fine = np.linspace(0.0, timed.times[-1], int(timed.times[-1] / 0.001) + 50)
+    line = np.stack([np.interp(fine, timed.times, joint) for joint in timed.positions.T], axis=1)
+    assert scanner_speeds(fine, line).max() <= 0.2 * 1.001
+
+
+def test_a_scanner_that_turns_about_itself_keeps_its_speed_by_lines_too():
+    """Wrist and shoulder turn against each other: small scanner speeds of large joint speeds."""
+    turn = 0.25 * np.sin(np.linspace(0.0, 4.0 * np.pi, 80))[:, None]
+    q = HOME + turn * np.array([1.0, -1.0, 2.0, -1.0, -1.0, 0.5])
+    timed = time_bezier(ARM, q, SCAN)
+    fine = np.linspace(0.0, timed.times[-1], int(timed.times[-1] / 0.001))
+    line = np.stack([np.interp(fine, timed.times, joint) for joint in timed.positions.T], axis=1)
+    assert scanner_speeds(fine, line).max() <= 0.2 * 1.001
+
+
 def test_a_very_long_path_takes_a_few_seconds():
     q = smooth(3000, 3.0)
     begin = time.perf_counter()

@@ -7,13 +7,14 @@ from skinplan.errors import InputError, JointsInvalidError
 from skinplan.robot.arm import ArmModel
 from skinplan.trajectory.bezier_curve import BezierCurve
 from skinplan.trajectory.pacing import Course, paces, parabolas
-from skinplan.trajectory.sampling import sample_shares
+from skinplan.trajectory.sampling import sample_counts, sample_shares
 from skinplan.trajectory.timing import Limits, Timed
 from skinplan.transforms import Array, inverse
 
 _ROUNDS = 24  # of correcting the pace by what the curve really needs ...
 _FREE_ROUNDS = 14  # ... of which the first also let unused acceleration be used
 _FITS = 1.001  # so little slowing is not worth another round
+_DENSER_ROUNDS = 6  # of halving the samples' distance where lines between them are too fast
 _GRID_S = 0.006  # the scanner's speed is checked so often ...
 _GRID_MARGIN = 0.995  # ... and so much of its limit is used, for what is between
 
@@ -38,7 +39,21 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
     if not deviation_m > 0.0:
         raise InputError(f"a deviation above 0 m is accepted, found {deviation_m}")
     course, curve = _driven(arm, q, limits)
-    segment, share = sample_shares(curve.durations, curve.largest(2), arm.lever_arms(), deviation_m)
+    counts = sample_counts(curve.durations, curve.largest(2), arm.lever_arms(), deviation_m)
+    for _ in range(_DENSER_ROUNDS):
+        timed = _sampled(course, curve, counts)
+        use = _line_use(arm, timed, limits)
+        if use.max() <= 1.0:
+            return timed
+        # Where the scanner turns about itself, lines may move it faster than the curve does.
+        segment = sample_shares(counts)[0][:-1]
+        counts[np.unique(segment[use > 1.0])] *= 2
+    return _sampled(course, curve.slowed(float(use.max())), counts)
+
+
+def _sampled(course: Course, curve: BezierCurve, counts: NDArray[np.int64]) -> Timed:
+    """The curve with so many intervals between samples in each segment."""
+    segment, share = sample_shares(counts)
     positions, velocities = curve.inside(segment, share), curve.inside(segment, share, 1)
     velocities[[0, -1]] = 0.0
     whole = share == 0.0
@@ -50,6 +65,16 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
         velocities=velocities,
         path=_places(course, curve.durations, segment, share),
     )
+
+
+def _line_use(arm: ArmModel, timed: Timed, limits: Limits) -> Array:
+    """How much of the scanner's speed limit lines between samples use, shape (m - 1,)."""
+    if not np.isfinite(limits.tcp_speed):
+        return np.zeros(len(timed.times) - 1)
+    pace = np.diff(timed.positions, axis=0) / np.diff(timed.times)[:, None]
+    start = _tcp_speeds(arm, timed.positions[:-1], pace)
+    end = _tcp_speeds(arm, timed.positions[1:], pace)
+    return np.asarray(np.maximum(start, end) / limits.tcp_speed)
 
 
 def bezier_curve(arm: ArmModel, q: Array, limits: Limits) -> BezierCurve:
