@@ -15,6 +15,7 @@ _ROUNDS = 24  # of correcting the pace by what the curve really needs ...
 _FREE_ROUNDS = 14  # ... of which the first also let unused acceleration be used
 _FITS = 1.001  # so little slowing is not worth another round
 _DENSER_ROUNDS = 6  # of halving the samples' distance where lines between them are too fast
+_SAME_RAD = 1e-12  # neighbours no farther apart are equal
 _GRID_S = 0.006  # the scanner's speed is checked so often ...
 _GRID_MARGIN = 0.995  # ... and so much of its limit is used, for what is between
 
@@ -24,7 +25,7 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
 
     Args:
         arm: The arm.
-        q: Joint positions, no two neighbours equal, shape (k >= 2, 6) [rad].
+        q: Joint positions, no two neighbours equal to 1e-12, shape (k >= 2, 6) [rad].
         limits: What must not be exceeded.
         deviation_m: Between the samples, joints interpolated linearly, the scanner is at most so
             far from where the curve has it [m].
@@ -186,7 +187,7 @@ def _require_path(arm: ArmModel, q: Array, limits: Limits) -> Array:
         raise JointsInvalidError(
             f"a path of at least 2 joint positions is accepted, found {len(q)}"
         )
-    same = np.flatnonzero(~np.any(np.diff(q, axis=0), axis=1))
+    same = np.flatnonzero(np.abs(np.diff(q, axis=0)).max(axis=1) < _SAME_RAD)
     if len(same):
         raise JointsInvalidError(
             f"a path without equal neighbours is accepted, found positions {same[0]} and "
