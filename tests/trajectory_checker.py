@@ -3,12 +3,12 @@
 Tolerances, and why:
 
 - Samples carry positions and velocities; a controller may join them by lines or by cubics. By
-  lines: the mean velocity of each interval keeps the limit. By cubics: a motion whose acceleration
-  is within A everywhere has a mean acceleration within A in each interval of length h, and its
-  samples can differ from the trapezoid rule by A h^2 / 4 (1 - (mean / A)^2) at most; whenever they
-  differ by less, such a motion through them exists. (A is taken 1 % larger here.) The cubic through
-  such samples may exceed the velocity limit by 3/8 A h in between, and A itself by two thirds: it
-  can't follow a jump of the acceleration.
+  lines: the mean velocity of each interval keeps the limit. By cubics: of all motions through the
+  samples of an interval of length h, whose mean acceleration is r and which differ from the
+  trapezoid rule by d h^2, one with full acceleration and full braking has the smallest largest
+  acceleration, 2 d + sqrt(4 d^2 + r^2): that keeps the limit A within 1 %. The cubic through such
+  samples may exceed the velocity limit by 3/8 A h in between, and A itself by two thirds: it can't
+  follow a jump of the acceleration.
 - Collision is checked where no part of the arm has moved more than 10 mm since the place before, at
   half the planner's margin of 20 mm: what is between two such places is free.
 - The scanner's speed is that of both interpolations at 1 ms: within 1 % by lines, within 3 % by
@@ -148,16 +148,11 @@ def limit_faults(arm, cell, segment):
         yield "joint speed beyond the limit between samples"
     if np.abs(rate).max() > SPARE * most:
         yield f"joint acceleration {np.abs(rate).max():.3f} rad/s^2"
-    defect = np.abs(mean - 0.5 * (v[1:] + v[:-1])) / h
-    high = ACCELERATION_SPARE * most
-    allowed = 0.25 * high * (1.0 - np.minimum(np.abs(rate) / high, 1.0) ** 2)
     # Positions of about 1 rad are rounded; over a very short interval that is seen.
-    over = defect - allowed - 1e-14 / h**2
-    if over.max() > 0.0:
-        yield (
-            f"velocities do not belong to positions within the acceleration limit "
-            f"({over.max():.3g} rad/s^2 too much)"
-        )
+    defect = np.maximum(np.abs(mean - 0.5 * (v[1:] + v[:-1])) / h - 1e-14 / h**2, 0.0)
+    needed = (2.0 * defect + np.sqrt(4.0 * defect**2 + rate**2)).max()
+    if needed > ACCELERATION_SPARE * most:
+        yield f"velocities do not belong to positions: that needs {needed:.3f} rad/s^2"
 
 
 def collision_faults(arm, world, segment):

@@ -113,7 +113,18 @@ def test_velocities_of_another_motion(good):
     segment = good.segments[0]
     v = segment.velocities * np.linspace(1.0, 0.8, len(segment.times))[:, None]
     found = faults(with_segment(good, 0, velocities=v))
-    assert named(found, "velocities do not belong to positions")
+    assert named(found, "velocities do not belong to positions: that needs")
+
+
+@pytest.mark.parametrize(("size", "fine"), [(1.0, True), (1.009, True), (1.02, False)])
+def test_full_acceleration_and_full_braking_within_one_interval_is_allowed(size, fine):
+    """From rest to rest in 0.1 s with 5 rad/s^2 a joint goes 5 * 0.05^2, and no farther."""
+    away = HOME + [0.0, 0.0, 0.0, 0.0, 0.0, size * 5.0 * 0.05**2]
+    corners = np.stack([HOME, away, HOME])
+    none = np.zeros(0, dtype=int)
+    segment = Segment(TRANSIT, np.array([0.0, 0.1, 0.2]), corners, np.zeros((3, 6)), none, 0.0)
+    found = faults(StationTrajectory(0, (segment,), ()))
+    assert found == [] if fine else named(found, f"that needs {5 * size:.3f} rad/s^2")
 
 
 def test_a_speed_that_only_cubics_have():
@@ -128,7 +139,7 @@ def test_a_speed_that_only_cubics_have():
         0.0,
     )
     found = faults(StationTrajectory(0, (segment,), ()))
-    assert named(found, "joint speed beyond the limit between samples", "do not belong")
+    assert named(found, "joint speed beyond the limit between samples", "that needs")
 
 
 def test_the_scanner_too_fast(good):

@@ -46,6 +46,13 @@ def scene_plan(tmp_path_factory):
     return plan
 
 
+def require_faultless(plan, least_share):
+    """Fails with all faults, not only the first."""
+    faults = check_plan(plan, CELL)
+    assert not faults, "\n".join(faults)
+    assert scanned_share(plan) >= least_share
+
+
 def scanned_share(plan):
     return sum(len(s.points) for t in plan.trajectories for s in t.segments) / len(plan.path)
 
@@ -53,15 +60,13 @@ def scanned_share(plan):
 @pytest.mark.parametrize("name", PANELS)
 def test_the_default_plan_of_a_scene_is_without_fault(scene_plan, name):
     plan = scene_plan(name)
-    assert check_plan(plan, CELL) == []
-    assert scanned_share(plan) >= 0.98
+    require_faultless(plan, 0.98)
 
 
 @pytest.mark.parametrize(("name", "order"), ORDERS)
 def test_every_order_of_visit_gives_plans_without_fault(scene_plan, name, order):
     plan = scene_plan(name, order_strategy=order)
-    assert check_plan(plan, CELL) == []
-    assert scanned_share(plan) >= 0.98
+    require_faultless(plan, 0.98)
 
 
 @pytest.mark.long
@@ -70,8 +75,7 @@ def test_the_published_plan_of_a_scene_is_without_fault(scene_plan, name):
     plan = scene_plan(
         name, strategy="published", station_strategy="rectangles", order_strategy="published"
     )
-    assert check_plan(plan, CELL) == []
-    assert scanned_share(plan) >= 0.9
+    require_faultless(plan, 0.9)
 
 
 @pytest.mark.long
@@ -81,5 +85,4 @@ def test_the_plan_of_a_real_panel_is_without_fault(shared_data, tmp_path, name):
     if not file.is_file():
         pytest.skip(f"needs the mesh {file}, which is not there")
     plan = plan_part(resolve_part(str(file), "m", tmp_path), CELL)
-    assert check_plan(plan, CELL) == []
-    assert scanned_share(plan) >= 0.9
+    require_faultless(plan, 0.9)
