@@ -23,6 +23,7 @@ from skinplan.robot.tracker import TrackerSight
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.strategies import chosen
+from skinplan.trajectory.ants_order import ants_order
 from skinplan.trajectory.assemble import collision_edges, timed_segments
 from skinplan.trajectory.graph import Problem, StationGraph
 from skinplan.trajectory.model import Segment, StationTrajectory
@@ -43,7 +44,11 @@ _TCP_ACCELERATION = 3.0  # about what the arm gives the scanner [m/s^2]: prices 
 Order = Callable[[VisitTask], VisitOrder]
 Progress = Callable[[float, str], None]
 
-STRATEGIES: dict[str, Order] = {"published": published_order, "tour": tour_order}
+STRATEGIES: dict[str, Order] = {
+    "published": published_order,
+    "tour": tour_order,
+    "ants": ants_order,
+}
 
 
 def plan_station_trajectory(
