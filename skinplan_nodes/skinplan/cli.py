@@ -169,6 +169,10 @@ def plan(
     strategy: StrategyOption = None,
     stations: StationOption = None,
     order: OrderOption = None,
+    optimise_passes: Annotated[
+        bool,
+        typer.Option("--optimise-passes", help="Optimise depth and angles of the scan passes."),
+    ] = False,
     until: Annotated[
         str, typer.Option(help="Last stage: scan_path, coverage, stations or trajectory.")
     ] = "trajectory",
@@ -194,6 +198,8 @@ def plan(
     """Plan a part at its nominal place, without ROS."""
     with console.command(as_json):
         asked = _with_strategies(resolve_part(part, unit), strategy, stations, order)
+        if optimise_passes:
+            asked = replace(asked, scan=replace(asked.scan, optimise_passes=True))
         config = load_cell(cell)
         seen = None if rescan is None else seen_points(rescan)
         view_port = _viewer_port(port) if browser else None

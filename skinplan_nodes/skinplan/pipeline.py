@@ -14,7 +14,7 @@ from skinplan.errors import CancelledError, InputError, SkinplanError, StageErro
 from skinplan.inspection.gaps import missing_samples
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.inspection_points import InspectionPoints
-from skinplan.part.model import Part, ScanSettings
+from skinplan.part.model import Fixture, Part, ScanSettings
 from skinplan.plan_record import planning_summary, write_json, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
 from skinplan.robot.cell import CellConfig
@@ -24,13 +24,14 @@ from skinplan.scan_path.plan import plan_scan_path
 from skinplan.scan_path.rescan import rescan_path
 from skinplan.scanner.coverage_ply import write_coverage_ply
 from skinplan.scanner.document import coverage_document
-from skinplan.scanner.predict import Prediction, predict_coverage
+from skinplan.scanner.predict import Prediction, part_certifier, predict_coverage
 from skinplan.stations.model import StationPlan
 from skinplan.stations.plan import STRATEGIES as STATION_STRATEGIES
 from skinplan.stations.plan import plan_stations
 from skinplan.strategies import chosen
 from skinplan.trajectory.cycle import CycleTime, cycle_time
 from skinplan.trajectory.model import StationTrajectory
+from skinplan.trajectory.passes import optimise_passes
 from skinplan.trajectory.plan import STRATEGIES as ORDER_STRATEGIES
 from skinplan.trajectory.plan import plan_trajectories
 from skinplan.transforms import Array
@@ -206,7 +207,9 @@ def plan_part(
     scan = part.scan
     prepared = stages.run("mesh", lambda: prepare_mesh(part))
     mesh, segmentation = prepared.mesh, prepared.segmentation
-    path = stages.run("scan_path", lambda: plan_path(prepared, scan, seen, part.points))
+    path = stages.run(
+        "scan_path", lambda: plan_path(prepared, scan, seen, part.points, part.fixture)
+    )
     planned = Plan(part, prepared, path, stages.planning_s)
     if "coverage" not in wanted:
         return planned
@@ -247,8 +250,12 @@ def plan_path(
     scan: ScanSettings,
     seen: Array | None = None,
     points: InspectionPoints | None = None,
+    fixture: Fixture | None = None,
 ) -> ScanPath:
     """Plans the scan path of a part, or of what a run has left out.
+
+    With ``optimise_passes`` depth and angles of its passes are optimised (T S3). A re-scan is not:
+    its poses were chosen for gaps that the certificate of the whole part does not know.
 
     Args:
         prepared: The part's mesh.
@@ -256,13 +263,18 @@ def plan_path(
         seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]; None = the whole
             part is planned.
         points: The part's measuring points, for strategy ``points``; None = it has none.
+        fixture: What may hide the part, for the certificate; None = the part alone.
 
     Raises:
         NothingMissingError: The run left nothing out.
         SkinplanError: As `plan_scan_path`.
     """
     chosen("scan path", scan.strategy, SCAN_PATH_STRATEGIES)
+    mesh, segmentation = prepared.mesh, prepared.segmentation
     if seen is None:
-        return plan_scan_path(prepared.mesh, prepared.segmentation, scan, points)
-    missing = missing_samples(prepared.mesh, seen)
-    return rescan_path(prepared.mesh, prepared.segmentation, scan, missing)
+        path = plan_scan_path(mesh, segmentation, scan, points)
+        if not scan.optimise_passes:
+            return path
+        certifier = part_certifier(mesh, segmentation, scan, fixture, with_seeable=False)
+        return optimise_passes(path, mesh, segmentation, scan, certifier)[0]
+    return rescan_path(mesh, segmentation, scan, missing_samples(mesh, seen))

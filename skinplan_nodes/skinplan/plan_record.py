@@ -17,6 +17,7 @@ from skinplan.scanner.sight import SIGHT_NAMES
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.trajectory.cycle import CycleTime
 from skinplan.trajectory.model import SCAN, StationTrajectory
+from skinplan.trajectory.pass_record import passes_document, passes_summary
 from skinplan.transforms import Array, heading, quaternion
 
 # Hashes are taken over whole micrometres, microradians and microseconds: far below what a device
@@ -97,6 +98,7 @@ def planning_summary(
             "lower_bound": path.lower_bound,
             "left_out": len(path.left_out),
             "hash": scan_path_hash(path),
+            **passes_summary(path.passes),
         },
     }
     if coverage is not None:
@@ -235,6 +237,7 @@ def _path_document(path: ScanPath) -> dict[str, Any]:
         "regions": path.regions,
         "hash": scan_path_hash(path),
         "lower_bound": path.lower_bound,
+        **passes_document(path.passes),
         "left_out": [
             {"target": np.round(left.target, _DECIMALS), "reason": left.reason}
             for left in path.left_out

@@ -12,6 +12,14 @@ def plan_rows(summary: Mapping[str, Any]) -> Rows:
     rows: Rows = [("points", _points(path))]
     if path["left_out"]:
         rows.append(("poses left out", path["left_out"]))
+    if passes := path.get("passes"):
+        rows.append(
+            (
+                "passes improved",
+                f"{passes['improved']} of {passes['count']}, mean error "
+                f"{passes['error_before']:.4f} to {passes['error_after']:.4f}",
+            )
+        )
     if coverage := summary.get("coverage"):
         rows += _coverage_rows(coverage)
     if stations := summary.get("stations"):

@@ -49,7 +49,7 @@ class ScanPathPlanner(CellNode):
         mesh = prepared.mesh
         settings = replace(part.scan, strategy=request.strategy or part.scan.strategy)
         seen = cloud_points(request.seen_cloud)
-        path = plan_path(prepared, settings, seen, part.points)
+        path = plan_path(prepared, settings, seen, part.points, part.fixture)
         planned = time.perf_counter()
         segmentation = prepared.segmentation
         figures = predict_coverage(mesh, segmentation, path, settings, part.fixture).figures

@@ -19,8 +19,10 @@ from nodes.small_part import reference, write_small_part
 from skinplan.errors import CellInvalidError
 from skinplan.inspection.cloud import write_ply
 from skinplan.mesh.prepare import prepare_mesh
+from skinplan.part.files import save_part
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
+from skinplan.pipeline import plan_path
 from skinplan.plan_record import scan_path_hash, station_hash
 from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.plan import plan_scan_path
@@ -122,6 +124,19 @@ def test_service_and_library_have_one_hash(bench: Bench, part: Part, strategy: s
     assert whole.name == "whole part"
     assert whole.often_seen_of_seeable_ratio == figures.regions[0].often_seen_of_seeable_ratio
     assert whole.area == pytest.approx(prepared.mesh.area, rel=1e-6)
+
+
+def test_service_and_library_optimise_passes_alike(
+    bench: Bench, part: Part, path: messages.ScanPath, tmp_path: Path
+) -> None:
+    asked = replace(part, scan=replace(part.scan, optimise_passes=True))
+    asked = replace(asked, source=save_part(asked, tmp_path / "part.yaml"))
+    request = PlanScanPath.Request(part=reference(asked))
+    answer = bench.call(PlanScanPath, "plan_scan_path", request)
+    assert (answer.status.code, answer.status.message) == (Status.OK, "")
+    wanted = plan_path(prepare_mesh(asked), asked.scan, None, asked.points, asked.fixture)
+    assert answer.path.plan_hash == scan_path_hash(wanted) != path.plan_hash
+    assert answer.path.coverage.area_ratio >= path.coverage.area_ratio
 
 
 def test_rescan_plans_what_a_cloud_leaves_out(

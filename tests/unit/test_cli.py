@@ -286,6 +286,18 @@ def test_plan_until_a_stage_has_that_stage_and_no_later_one(tmp_path):
     assert "scan_path, coverage, stations, trajectory" in result.stderr
 
 
+def test_passes_are_optimised_when_asked(tmp_path):
+    arguments = ("plan", flat_mesh(tmp_path), "--until", "scan_path", "--json")
+    plain = json.loads(invoke(*arguments).stdout)["scan_path"]
+    asked = json.loads(invoke(*arguments, "--optimise-passes").stdout)["scan_path"]
+    assert "passes" not in plain
+    # Nothing is to be gained on a flat panel: all views are straight.
+    assert asked["passes"] == {
+        "count": asked["passes"]["count"], "improved": 0, "error_before": 0.0, "error_after": 0.0,
+    }  # fmt: skip
+    assert asked["passes"]["count"] >= 1 and asked["hash"] == plain["hash"]
+
+
 def test_plan_writes_the_certificate_as_data_and_as_coloured_mesh(tmp_path):
     mesh = flat_mesh(tmp_path)
     folder = tmp_path / "plan"

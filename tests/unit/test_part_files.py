@@ -35,6 +35,7 @@ def test_what_is_written_is_read_again(part, tmp_path):
         row_direction=(0.6, 0.8, 0.0),
         field_of_view="cone",
         least_views=5,
+        optimise_passes=True,
     )
     changed = dataclasses.replace(part, id="other-1", scan=scan)
     again = load_part(save_part(changed, tmp_path / "other.yaml"))
@@ -89,6 +90,7 @@ def test_fixture_placement_and_scan_may_be_left_out(part):
         (lambda v: v["scan"].update(field_of_view=2), ["scan.field_of_view", "cylinder or cone"]),
         (lambda v: v["scan"].update(least_views=0), ["scan.least_views", "0", "from 1 to 1000"]),
         (lambda v: v["scan"].update(least_views=2.5), ["scan.least_views", "2.5", "whole number"]),
+        (lambda v: v["scan"].update(optimise_passes=1), ["scan.optimise_passes", "true or false"]),
         (lambda v: v.update(scan=[1, 2]), ["scan", "[1, 2]"]),
         (lambda v: v.update(id="a b"), ["id", "'a b'"]),
         (lambda v: v["mesh"].update(unit="yard"), ["mesh.unit", "yard", "inch"]),

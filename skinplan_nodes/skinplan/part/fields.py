@@ -78,6 +78,13 @@ class Fields:
             raise self.error(key, _named(value), accepted)
         return value
 
+    def flag(self, key: str) -> bool:
+        """Returns true or false, which must be given."""
+        value = self._required(key, "true or false")
+        if not isinstance(value, bool):
+            raise self.error(key, _named(value), "true or false")
+        return value
+
     def vector(self, key: str, length: int, accepted: str) -> Array:
         """Returns a list of finite numbers that must be given, shape (length,)."""
         value = self._required(key, accepted)

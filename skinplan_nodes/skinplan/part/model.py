@@ -74,6 +74,8 @@ class ScanSettings:
         incidence_margin_rad: Strategy ``coverage`` counts on views only so far inside the incidence
             limit [rad] ...
         field_margin_m: ... and so far inside field of view and range [m].
+        optimise_passes: Whether depth and angles of the passes are optimised (T S3) before stations
+            and trajectories are planned; a re-scan is left as it is.
     """
 
     strategy: str = "coverage"
@@ -95,6 +97,7 @@ class ScanSettings:
     least_views: int = 3
     incidence_margin_rad: float = 0.05235987755982988
     field_margin_m: float = 0.005
+    optimise_passes: bool = False
 
     @property
     def row_interval_m(self) -> float:

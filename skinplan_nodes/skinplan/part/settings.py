@@ -70,6 +70,8 @@ def read_settings(values: object, place: str, source: str) -> ScanSettings:
         found["least_views"] = fields.integer("least_views", 1, _MOST_VIEWS)
     if fields.has("field_of_view"):
         found["field_of_view"] = _field_of_view(fields)
+    if fields.has("optimise_passes"):
+        found["optimise_passes"] = fields.flag("optimise_passes")
     if fields.has("row_direction"):
         found["row_direction"] = _direction(fields)
     settings = ScanSettings(**found)  # type: ignore[arg-type]

@@ -7,7 +7,7 @@ with a margin to the limits of the scanner. What was chosen is judged with sampl
 they are seen too seldom they join the samples and the choice is made again.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -160,13 +160,7 @@ class CoveragePlanner:
     def _with_margins(self) -> ScannerModel:
         """The scanner as planned with: what it just sees is not counted on."""
         settings = self._settings
-        return replace(
-            self._scanner,
-            field_radius_m=self._scanner.field_radius_m - settings.field_margin_m,
-            range_min_m=self._scanner.range_min_m + settings.field_margin_m,
-            range_max_m=self._scanner.range_max_m - settings.field_margin_m,
-            incidence_max_rad=self._scanner.incidence_max_rad - settings.incidence_margin_rad,
-        )
+        return self._scanner.narrowed(settings.field_margin_m, settings.incidence_margin_rad)
 
     def _least_passes(self, frames: tuple[RowFrame, ...]) -> tuple[PassCutter, RowFrame]:
         """Returns the direction in which the passes and their turns are shortest."""

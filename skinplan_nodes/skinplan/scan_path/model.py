@@ -24,6 +24,35 @@ class LeftOut:
     reason: str
 
 
+@dataclass(frozen=True)
+class PassReport:
+    """What became of a pass whose depth and angles were to be optimised (T S3).
+
+    Attributes:
+        kind: ROW or FEATURE.
+        group: Row or region number, as in `ScanPath.groups`.
+        points: Number of its points.
+        error_before: Mean of the evaluation function over its points as given; the unit is that of
+            `skinplan.trajectory.pass_error`.
+        error_after: Same, after the optimisation.
+        moved: Number of points that were moved.
+        reason: Why points were left as they are; empty when all were moved.
+    """
+
+    kind: int
+    group: int
+    points: int
+    error_before: float
+    error_after: float
+    moved: int
+    reason: str
+
+    @property
+    def improved(self) -> bool:
+        """Whether the pass was changed."""
+        return self.moved > 0
+
+
 @dataclass(frozen=True, eq=False)
 class ScanPath:
     """Scan path points in the workpiece frame, row points first (M2.1, M2.2).
@@ -40,6 +69,7 @@ class ScanPath:
         regions: Number of complex regions of the part.
         lower_bound: No fewer points of the candidates see as much; 0 = no bound known.
         left_out: Poses that were wanted and could not be had.
+        passes: What the optimisation of its passes did; empty = they were not optimised.
     """
 
     positions: Array
@@ -51,6 +81,7 @@ class ScanPath:
     regions: int
     lower_bound: int = 0
     left_out: tuple[LeftOut, ...] = ()
+    passes: tuple[PassReport, ...] = ()
 
     def __len__(self) -> int:
         return len(self.positions)

@@ -1,7 +1,7 @@
 """The scanner (M2.1) and what it sees."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -73,6 +73,16 @@ class ScannerModel:
             scan.standoff_m,
             scan.incidence_max_rad,
             scan.field_of_view,
+        )
+
+    def narrowed(self, field_margin_m: float, incidence_margin_rad: float) -> "ScannerModel":
+        """Returns the scanner so far inside its field of view, range [m] and incidence limit."""
+        return replace(
+            self,
+            field_radius_m=self.field_radius_m - field_margin_m,
+            range_min_m=self.range_min_m + field_margin_m,
+            range_max_m=self.range_max_m - field_margin_m,
+            incidence_max_rad=self.incidence_max_rad - incidence_margin_rad,
         )
 
     def field_radius(self, depth: Array | float) -> Array | float:
