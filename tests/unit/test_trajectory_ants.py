@@ -6,7 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from ortools.constraint_solver import pywrapcp, routing_enums_pb2
 from scipy.spatial.distance import cdist
 
 from reach_scene import flat_path, path_of
@@ -14,7 +13,8 @@ from skinplan.errors import InputError, ScanPathInvalidError
 from skinplan.scan_path.model import FEATURE, ROW
 from skinplan.trajectory.ant_settings import AntSettings
 from skinplan.trajectory.ants import ant_path, deposited, line_pheromone, walks
-from skinplan.trajectory.ants_order import ants_order, features, least_travel
+from skinplan.trajectory.ants_order import ants_order, features
+from skinplan.trajectory.feature_travel import FeatureTravel
 from skinplan.trajectory.order import published_order
 from skinplan.trajectory.plan import STRATEGIES
 from skinplan.trajectory.tour import improved_path, nearest_path, path_length
@@ -46,6 +46,8 @@ def held_karp(distances, start, end):
 
 def or_tools(distances, start, end, seconds=2.0):
     """Length of the path that routing with guided local search finds."""
+    from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+
     whole = np.rint(distances * 1e6).astype(int).tolist()
     manager = pywrapcp.RoutingIndexManager(len(whole), 1, [start], [end])
     model = pywrapcp.RoutingModel(manager)
@@ -227,7 +229,7 @@ def test_the_roulette_gives_each_node_its_share():
         ("evaporation_min", 0.5), ("evaporation_min", 0.0), ("depositing_last", 0),
         ("depositing_first", 1), ("depositing_first", 41), ("deposit", -1.0), ("map_scale", 0.0),
         ("pheromone_min", 0.0), ("pheromone_min", math.nan), ("width_m", -1.0),
-        ("width_m", math.inf), ("local_moves", -1), ("pheromone_first", 0.1),
+        ("width_m", math.inf), ("local_moves", -1), ("travel_moves", -1), ("pheromone_first", 0.1),
         ("heuristic_last", 0.5), ("heuristic_first", -1.0), ("pheromone_last", -0.1),
     ],
 )  # fmt: skip
@@ -327,7 +329,7 @@ def test_the_travel_through_given_features_is_the_shortest(seed):
         way = np.array([2 * pair, 2 * pair + 1])
         ways.append([way, way[::-1]])
     begin, end = rng.random((2, 3))
-    order, length = least_travel(positions, ways, begin, end)
+    order, length = FeatureTravel(positions, ways, begin, end).points(np.arange(5))
     places = [
         np.concatenate([begin[None], positions[np.concatenate(choice)], end[None]])
         for choice in itertools.product(*ways)
@@ -335,6 +337,30 @@ def test_the_travel_through_given_features_is_the_shortest(seed):
     lengths = [np.linalg.norm(np.diff(each, axis=0), axis=1).sum() for each in places]
     assert length == pytest.approx(min(lengths))
     assert sorted(order) == list(range(10))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_order_is_improved_until_no_reversal_or_displacement_helps(seed):
+    rng = np.random.default_rng(seed)
+    positions = rng.random((13, 3))
+    # Features with one, two and four ways.
+    ways = [[np.array([n])] for n in range(3)]
+    ways += [[np.array([n, n + 1]), np.array([n + 1, n])] for n in range(3, 9, 2)]
+    ways.append([np.array(way) for way in ((9, 10, 11, 12), (12, 11, 10, 9), (10, 9, 12, 11))])
+    travel_of = FeatureTravel(positions, ways, rng.random(3))
+    given = rng.permutation(7)
+    order = travel_of.improved(given, 50)
+    length = travel_of.lengths(order[None])[0]
+    assert sorted(order) == list(range(7)) and order[0] == given[0] and order[-1] == given[-1]
+    assert length <= travel_of.lengths(given[None])[0]
+    assert length == pytest.approx(travel_of.points(order)[1])
+    for i, j in itertools.combinations(range(1, 7), 2):
+        turned = np.concatenate([order[:i], order[i:j][::-1], order[j:]])
+        displaced = np.insert(np.delete(order, i), j - 1, order[i])
+        for other in (turned, displaced) if i < 6 else (turned,):
+            if other[-1] == order[-1]:
+                assert travel_of.lengths(other[None])[0] >= length - 1e-8
+    assert np.array_equal(travel_of.improved(given, 0), given)
 
 
 def test_every_point_comes_once_and_the_cost_is_the_travel():

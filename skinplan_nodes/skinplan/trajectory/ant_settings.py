@@ -33,6 +33,8 @@ class AntSettings:
         width_m: W, width of the working space perpendicular to s-d [m]; None = as wide as the
             nodes lie apart, the line in its middle.
         local_moves: Most moves of the local improvement of an iteration's best ant, 0 = none. Ours.
+        travel_moves: Most moves of the improvement of the ants' order of features by the travel
+            through them, 0 = none. Ours.
 
     Raises:
         InputError: A value out of range.
@@ -55,6 +57,7 @@ class AntSettings:
     pheromone_min: float = 0.01
     width_m: float | None = None
     local_moves: int = 200
+    travel_moves: int = 50
 
     def __post_init__(self) -> None:
         for field in fields(self):
@@ -64,7 +67,7 @@ class AntSettings:
             self._require(field.name, not math.isnan(value) and value < math.inf, "finite")
         for name in ("ants", "iterations", "stagnation", "depositing_last"):
             self._require(name, getattr(self, name) >= 1, "1 or more")
-        for name in ("pheromone_last", "heuristic_first", "local_moves", "deposit"):
+        for name in ("pheromone_last", "heuristic_first", "local_moves", "travel_moves", "deposit"):
             self._require(name, getattr(self, name) >= 0, "0 or more")
         for name in ("map_scale", "pheromone_min"):
             self._require(name, getattr(self, name) > 0, "above 0")

@@ -2,15 +2,14 @@
 
 Each piece of a row and each cluster of feature points is a feature: a node at its centroid. The
 ants order the nodes. Then the direction of each row and the ends of each cluster are chosen for the
-least travel by dynamic programming over the nodes in their order.
+least travel by dynamic programming over the nodes in their order. Centroids say little of long
+rows, so the order is at last improved by that travel (``travel_moves``; ours).
 
 Reading notes. The patent orders features and does not say how each is entered. The ends s and d are
 the nodes where a feature's point is nearest to where the scanner comes from and goes to; when both
 are one node, the pair of different nodes with the least sum is taken. The published rows are units
 here: an order of single points ignores turns and loses to rows on smooth panels.
 """
-
-from collections.abc import Sequence
 
 import numpy as np
 from scipy.spatial.distance import cdist
@@ -19,6 +18,7 @@ from skinplan.errors import ScanPathInvalidError
 from skinplan.scan_path.model import FEATURE, ROW, ScanPath
 from skinplan.trajectory.ant_settings import AntSettings
 from skinplan.trajectory.ants import ant_path, line_pheromone
+from skinplan.trajectory.feature_travel import FeatureTravel
 from skinplan.trajectory.order import CLUSTER_POINTS, k_means
 from skinplan.trajectory.tour import improved_path, nearest_path
 from skinplan.trajectory.visit import Indices, VisitOrder, VisitTask
@@ -50,11 +50,11 @@ def ants_order(task: VisitTask, settings: AntSettings | None = None) -> VisitOrd
     if not len(points):
         return VisitOrder(points, 0.0)
     found = features(path, points, task.seed)
-    nodes = _ordered_nodes(path, found, task, settings or AntSettings())
-    order, length = least_travel(
-        path.positions, [_ways(path, found[node]) for node in nodes], task.begin, task.end
-    )
-    return VisitOrder(order, length)
+    settings = settings or AntSettings()
+    nodes = _ordered_nodes(path, found, task, settings)
+    ways = [_ways(path, feature) for feature in found]
+    travel = FeatureTravel(path.positions, ways, task.begin, task.end)
+    return VisitOrder(*travel.points(travel.improved(nodes, settings.travel_moves)))
 
 
 def features(path: ScanPath, points: Indices, seed: int = 0) -> list[Indices]:
@@ -80,44 +80,6 @@ def features(path: ScanPath, points: Indices, seed: int = 0) -> list[Indices]:
         labels = k_means(path.positions[single], count, seed)
         pieces += [single[labels == label] for label in range(int(labels.max()) + 1)]
     return pieces
-
-
-def least_travel(
-    positions: Array,
-    ways: Sequence[Sequence[Indices]],
-    begin: Array | None = None,
-    end: Array | None = None,
-) -> tuple[Indices, float]:
-    """Chooses one way through each feature so that the whole travel is shortest (exact).
-
-    Args:
-        positions: Of all points, shape (n, 3) [m].
-        ways: For each feature in the order of visit the ways through it, as point numbers.
-        begin: Where the travel comes from, shape (3,) [m]; None = anywhere.
-        end: Where it goes to, shape (3,) [m]; None = anywhere.
-
-    Returns:
-        Point numbers in the order of visit, and the length of the travel [m].
-    """
-    heads = [positions[[way[0] for way in each]] for each in ways]
-    tails = [positions[[way[-1] for way in each]] for each in ways]
-    inside = [np.array([_length(positions[way]) for way in each]) for each in ways]
-    costs = inside[0] + (0.0 if begin is None else np.linalg.norm(heads[0] - begin, axis=1))
-    before: list[Indices] = []
-    for number in range(1, len(ways)):
-        total = costs[:, None] + cdist(tails[number - 1], heads[number])
-        # Rounded: of ways that are equally long by symmetry the first, whatever the last digit is.
-        chosen = np.argmin(np.round(total, 9), axis=0)
-        before.append(chosen)
-        costs = total[chosen, np.arange(len(heads[number]))] + inside[number]
-    if end is not None:
-        costs = costs + np.linalg.norm(tails[-1] - end, axis=1)
-    last = int(np.argmin(np.round(costs, 9)))
-    length, picks = float(costs[last]), [last]
-    for chosen in reversed(before):
-        picks.append(int(chosen[picks[-1]]))
-    order = [each[pick] for each, pick in zip(ways, reversed(picks), strict=True)]
-    return np.concatenate(order), length
 
 
 def _ordered_nodes(
@@ -180,7 +142,3 @@ def _outer(places: Array) -> list[int]:
         chosen.append(int(np.argmax(np.round(gaps, 9))))
         gaps = np.minimum(gaps, np.linalg.norm(places - places[chosen[-1]], axis=1))
     return chosen
-
-
-def _length(places: Array) -> float:
-    return float(np.linalg.norm(np.diff(places, axis=0), axis=1).sum())
