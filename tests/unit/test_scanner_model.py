@@ -24,6 +24,14 @@ def test_the_cone_is_as_wide_as_the_cylinder_at_the_least_range():
     np.testing.assert_allclose(SCANNER.field_radius(depths), 0.2)
 
 
+def test_a_scanner_narrowed_by_margins_is_inside_the_other():
+    narrow = SCANNER.narrowed(0.005, 0.05)
+    assert dataclasses.astuple(narrow)[:5] == pytest.approx(
+        (0.195, 0.205, 0.395, 0.3, np.radians(60) - 0.05)
+    )
+    assert SCANNER.narrowed(0.0, 0.0) == SCANNER
+
+
 @pytest.mark.parametrize(
     ("changes", "words"),
     [

@@ -56,7 +56,7 @@ _LOG = logging.getLogger(__name__)
 Indices = NDArray[np.int64]
 
 OPTIMAL = "nothing to gain"
-MISPLACED = "a pose does not look at its target from within the scanner's range"
+MISPLACED = "a pose has no target on its axis that faces it within the scanner's range"
 WORSE_SEEN = "the part would be seen less"
 
 _EPS = 1e-9
