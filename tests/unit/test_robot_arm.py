@@ -119,7 +119,9 @@ def test_wrong_names_are_refused(arm, change):
 
 
 def test_limits_are_two_turns_and_half_a_turn_per_second(arm):
-    assert np.allclose(arm.upper, 2.0 * np.pi) and np.allclose(arm.lower, -2.0 * np.pi)
+    # The elbow can't turn beyond half a turn: the forearm would pass through the upper arm.
+    turns = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi
+    assert np.allclose(arm.upper, turns) and np.allclose(arm.lower, -turns)
     assert np.allclose(arm.velocity, np.pi)
     assert arm.within_limits(np.array([[6.2] * 6, [6.3] * 6])).tolist() == [True, False]
 

@@ -80,7 +80,7 @@ class ScanSettings:
 
     strategy: str = "coverage"
     station_strategy: str = "reach"
-    order_strategy: str = "published"
+    order_strategy: str = "tour"
     sensitivity: float = 2.0
     overlap_ratio: float = 0.6
     field_radius_m: float = 0.2

@@ -7,9 +7,9 @@ from skinplan.errors import InputError, JointsInvalidError
 from skinplan.robot.arm import ArmModel
 from skinplan.trajectory.bezier_curve import BezierCurve
 from skinplan.trajectory.pacing import Course, paces, parabolas
-from skinplan.trajectory.sampling import sample_counts, sample_shares
+from skinplan.trajectory.sampling import line_use, sample_counts, sample_shares, tcp_speeds
 from skinplan.trajectory.timing import Limits, Timed
-from skinplan.transforms import Array, inverse
+from skinplan.transforms import Array
 
 _ROUNDS = 24  # of correcting the pace by what the curve really needs ...
 _FREE_ROUNDS = 14  # ... of which the first also let unused acceleration be used
@@ -43,7 +43,7 @@ def time_bezier(arm: ArmModel, q: Array, limits: Limits, deviation_m: float = 0.
     counts = sample_counts(curve.durations, curve.largest(2), arm.lever_arms(), deviation_m)
     for _ in range(_DENSER_ROUNDS):
         timed = _sampled(course, curve, counts)
-        use = _line_use(arm, timed, limits)
+        use = line_use(arm, timed.times, timed.positions, limits.tcp_speed)
         if use.max() <= 1.0:
             return timed
         # Where the scanner turns about itself, lines may move it faster than the curve does.
@@ -66,16 +66,6 @@ def _sampled(course: Course, curve: BezierCurve, counts: NDArray[np.int64]) -> T
         velocities=velocities,
         path=_places(course, curve.durations, segment, share),
     )
-
-
-def _line_use(arm: ArmModel, timed: Timed, limits: Limits) -> Array:
-    """How much of the scanner's speed limit lines between samples use, shape (m - 1,)."""
-    if not np.isfinite(limits.tcp_speed):
-        return np.zeros(len(timed.times) - 1)
-    pace = np.diff(timed.positions, axis=0) / np.diff(timed.times)[:, None]
-    start = _tcp_speeds(arm, timed.positions[:-1], pace)
-    end = _tcp_speeds(arm, timed.positions[1:], pace)
-    return np.asarray(np.maximum(start, end) / limits.tcp_speed)
 
 
 def bezier_curve(arm: ArmModel, q: Array, limits: Limits) -> BezierCurve:
@@ -146,7 +136,7 @@ def _use(arm: ArmModel, curve: BezierCurve, limits: Limits, grid_s: float) -> tu
         first = np.cumsum(counts) - counts
         segment = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
         share = (np.arange(len(segment)) - first[segment]) / counts[segment]
-        tcp = _tcp_speeds(arm, curve.inside(segment, share), curve.inside(segment, share, 1))
+        tcp = tcp_speeds(arm, curve.inside(segment, share), curve.inside(segment, share, 1))
         ends = np.append(tcp[first[1:]], 0.0)
         most = np.maximum(np.maximum.reduceat(tcp, first), ends)
         speed = np.maximum(speed, most / (_GRID_MARGIN * limits.tcp_speed))
@@ -163,22 +153,9 @@ def _fastest(arm: ArmModel, course: Course, limits: Limits) -> Array:
     use = (np.abs(course.directions) / limits.velocity).max(axis=1)
     if np.isfinite(limits.tcp_speed):
         middle = 0.5 * (course.positions[:-1] + course.positions[1:])
-        tcp = _tcp_speeds(arm, middle, course.directions)
+        tcp = tcp_speeds(arm, middle, course.directions)
         use = np.maximum(use, tcp / (_GRID_MARGIN * limits.tcp_speed))
     return np.asarray(1.0 / use)
-
-
-def _tcp_speeds(arm: ArmModel, q: Array, velocities: Array) -> Array:
-    """Speeds of the scanner's origin, shape (n,) [m/s], by the geometric Jacobian."""
-    zero = np.zeros((1, 6))
-    T_6_scanner = inverse(arm.links(zero)[0, 6]) @ arm.forward_scanner(zero)[0]
-    links = arm.links(q)
-    scanner = links[:, 6, :3, :3] @ T_6_scanner[:3, 3] + links[:, 6, :3, 3]
-    axes = np.einsum("njab,jb->nja", links[:, 1:, :3, :3], arm.axes)
-    arms = scanner[:, None] - links[:, 1:, :3, 3]
-    return np.asarray(
-        np.linalg.norm(np.einsum("nj,nja->na", velocities, np.cross(axes, arms)), axis=1)
-    )
 
 
 def _require_path(arm: ArmModel, q: Array, limits: Limits) -> Array:

@@ -10,7 +10,7 @@ from scipy.spatial.distance import cdist
 
 from skinplan.robot.collision import CollisionWorld
 from skinplan.robot.dexterity import Dexterity
-from skinplan.trajectory.pace import pair_changes, rest_to_rest
+from skinplan.trajectory.durations import pair_changes, rest_to_rest
 from skinplan.trajectory.states import States
 from skinplan.trajectory.straight import JUMP_RAD, STEP_M, STEP_RAD, Poses, follow
 from skinplan.trajectory.transit import Stop, Transit, TransitPlanner
@@ -20,8 +20,7 @@ Indices = NDArray[np.int64]
 Pair = tuple[int, int]
 
 BREAK_S = 0.3  # what a stop costs besides the motion: standing still at both ends
-NEAR_M = 0.60  # points so near to each other belong to one continuous scan ...
-NEAR_BREAK_S = 4.0  # ... and a break between them has this price: only where nothing else goes
+BREAK_PRICE_S = 4.0  # what an interruption of the scan has to save at least
 START, HOME = -1, -2  # stand for views
 _VAIN = 3  # so many stops in vain close a family of states
 _KEPT = 1500  # pairs of views whose estimates are kept: bounds memory
@@ -192,9 +191,8 @@ class StationGraph:
         a, b = first[rows], second[columns]
         change = np.abs(self._poses.q[b][None] - self._poses.q[a][:, None])
         motion = rest_to_rest(change, self.problem.velocity, self.problem.acceleration)
-        price = np.where(self._ways(a, b) <= NEAR_M, NEAR_BREAK_S, 0.0)
-        price[a >= self.start] = 0.0
-        price[:, b >= self.start] = 0.0
+        ends = (a >= self.start)[:, None] | (b >= self.start)[None]
+        price = np.where(ends, 0.0, BREAK_PRICE_S)
         cost[np.ix_(rows, columns)] = BREAK_S + price + motion + _MOTION_S * change.sum(axis=2)
         return cost
 

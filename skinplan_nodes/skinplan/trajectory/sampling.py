@@ -3,7 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.transforms import Array
+from skinplan.robot.arm import ArmModel
+from skinplan.transforms import Array, inverse
 
 _LONGEST_S = 0.04  # samples also say where the arm is: they are never farther apart
 
@@ -44,3 +45,38 @@ def sample_shares(counts: NDArray[np.int64]) -> tuple[NDArray[np.int64], Array]:
     owner = np.repeat(np.arange(len(counts), dtype=np.int64), counts)
     share = (np.arange(len(owner)) - (np.cumsum(counts) - counts)[owner]) / counts[owner]
     return np.append(owner, len(counts) - 1), np.append(share, 1.0)
+
+
+def line_use(arm: ArmModel, times: Array, positions: Array, tcp_speed_m_s: float) -> Array:
+    """Returns how much of the scanner's speed limit lines between samples use, shape (m - 1,).
+
+    Args:
+        arm: The arm.
+        times: Of the samples, shape (m,) [s].
+        positions: Joint positions, shape (m, 6) [rad].
+        tcp_speed_m_s: Speed limit of the scanner [m/s]; inf = none.
+    """
+    if not np.isfinite(tcp_speed_m_s):
+        return np.zeros(len(times) - 1)
+    pace = np.diff(positions, axis=0) / np.diff(times)[:, None]
+    start, end = tcp_speeds(arm, positions[:-1], pace), tcp_speeds(arm, positions[1:], pace)
+    return np.asarray(np.maximum(start, end) / tcp_speed_m_s)
+
+
+def tcp_speeds(arm: ArmModel, q: Array, velocities: Array) -> Array:
+    """Returns speeds of the scanner's origin by the geometric Jacobian, shape (n,) [m/s].
+
+    Args:
+        arm: The arm.
+        q: Joint positions, shape (n, 6) [rad].
+        velocities: Joint velocities, shape (n, 6) [rad/s].
+    """
+    zero = np.zeros((1, 6))
+    T_6_scanner = inverse(arm.links(zero)[0, 6]) @ arm.forward_scanner(zero)[0]
+    links = arm.links(q)
+    scanner = links[:, 6, :3, :3] @ T_6_scanner[:3, 3] + links[:, 6, :3, 3]
+    axes = np.einsum("njab,jb->nja", links[:, 1:, :3, :3], arm.axes)
+    arms = scanner[:, None] - links[:, 1:, :3, 3]
+    return np.asarray(
+        np.linalg.norm(np.einsum("nj,nja->na", velocities, np.cross(axes, arms)), axis=1)
+    )

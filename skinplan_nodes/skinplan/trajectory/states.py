@@ -22,7 +22,7 @@ Indices = NDArray[np.int64]
 
 _TILTS = ((0.5, 8), (1.0, 16))  # in shares of the largest, each to so many sides
 _WINDING_RAD = 0.5  # joints so near to half a turn from home get their other winding, too
-_TILT_S = 0.2  # what the largest tilt costs; views as planned are preferred to wobbling ones
+_TILT_S = 1.0  # what the largest tilt costs: planned views see what was certified
 _DEXTERITY_S = 0.15  # what a state at the edge of the singular ones costs
 _DEXTEROUS = 0.4  # from this measure on a state costs nothing
 _SINGULAR = "too close to a singular position of elbow or wrist"

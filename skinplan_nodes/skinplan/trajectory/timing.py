@@ -5,17 +5,26 @@ from dataclasses import dataclass
 
 import numpy as np
 import toppra
+from numpy.typing import NDArray
 from toppra.algorithm import TOPPRA
 from toppra.constraint import DiscretizationType, JointAccelerationConstraint
 from toppra.constraint.linear_constraint import LinearConstraint
 
 from skinplan.robot.arm import ArmModel
+from skinplan.trajectory.sampling import line_use
 from skinplan.transforms import Array
 
-SAMPLE_S = 0.04
+SAMPLE_S = 0.04  # samples are never farther apart ...
+SAMPLE_M = 0.0005  # ... and lines between them keep the scanner so near to the motion
+SPLINE_M = (
+    0.0015  # a path's spline keeps the scanner so near to the straight ways between positions
+)
+_GRADE_ROUNDS = 8  # of adding positions where it does not
+_CHECKED = (0.25, 0.5, 0.75)  # shares of a step at which that is looked at
+_DENSER_ROUNDS = 6
+_SHORTEST_S = 0.004
 DWELL_S = 0.2  # time that the scanner rests at a point that no straight move leads to or from
 _GRID_PER_STEP = 4
-_PARTS = 4  # pieces of a sample interval in which the scanner's speed is checked
 _MARGIN = 0.98  # limits hold at grid points; this much of them is used, for what happens in between
 _LOG = logging.getLogger(__name__)
 
@@ -84,6 +93,7 @@ def time_path(arm: ArmModel, q: Array, limits: Limits) -> Timed:
         q: Joint positions, densely spaced, no two neighbours equal, shape (k >= 2, 6) [rad].
         limits: What must not be exceeded.
     """
+    q, given = _graded(arm, q)
     knots = np.concatenate([[0.0], np.cumsum(_step_lengths(arm, q))])
     spline = toppra.SplineInterpolator(knots, q, bc_type="natural")
     shares = np.arange(_GRID_PER_STEP) / _GRID_PER_STEP
@@ -105,26 +115,94 @@ def time_path(arm: ArmModel, q: Array, limits: Limits) -> Timed:
         paces = _slow_paces(
             spline, grid, limits, _fastest_pace(arm, spline(grid), spline(grid, 1), limits)
         )
-    times, places, speeds = _sampled(grid, paces)
-    positions, velocities = spline(places), spline(places, 1) * speeds[:, None]
-    positions[0], positions[-1] = q[0], q[-1]
-    stretch = _excess(arm, times, positions, velocities, limits)
-    steps = np.interp(places, knots, np.arange(len(knots)))
-    return Timed(stretch * times, positions, velocities / stretch, steps)
+    timed = _sampled_motion(arm, spline, grid, paces, limits.tcp_speed)
+    stretch = _excess(arm, timed, limits)
+    steps = np.interp(timed.path, knots[given], np.arange(len(given)))
+    return Timed(stretch * timed.times, timed.positions, timed.velocities / stretch, steps)
 
 
-def _excess(
-    arm: ArmModel, times: Array, positions: Array, velocities: Array, limits: Limits
-) -> float:
-    """How much slower a motion has to be for limits to hold between grid points too; 1 = none."""
-    steps = np.diff(times)
+def _graded(arm: ArmModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
+    """Adds positions on straight joint motion where a spline would leave it too far.
+
+    Returns:
+        Joint positions, shape (n, 6) [rad], and which of them are the given ones, shape (k,).
+    """
+    steps = np.arange(len(q), dtype=float)  # of the given ones, and shares of them
+    given = q
+    for _ in range(_GRADE_ROUNDS):
+        knots = np.concatenate([[0.0], np.cumsum(_step_lengths(arm, q))])
+        spline = toppra.SplineInterpolator(knots, q, bc_type="natural")
+        ends = arm.forward_scanner(q)[:, :3, 3]
+        off = np.zeros(len(q) - 1)
+        for share in _CHECKED:
+            there = arm.forward_scanner(spline(knots[:-1] + share * np.diff(knots)))[:, :3, 3]
+            np.maximum(off, _distances(there, ends[:-1], ends[1:]), out=off)
+        wide = np.flatnonzero(off > SPLINE_M)
+        if not len(wide):
+            break
+        # The swing comes from the corners at the ends of a step: both neighbours get shorter, too.
+        wide = np.unique(np.clip(np.concatenate([wide - 1, wide, wide + 1]), 0, len(off) - 1))
+        steps = np.sort(np.concatenate([steps, 0.5 * (steps[wide] + steps[wide + 1])]))
+        whole = np.minimum(steps.astype(np.int64), len(given) - 2)
+        q = given[whole] + (steps - whole)[:, None] * (given[whole + 1] - given[whole])
+    return q, np.searchsorted(steps, np.arange(len(given)))
+
+
+def _distances(points: Array, start: Array, end: Array) -> Array:
+    """Distances of points from the lines between two others, shape (n,) [m]."""
+    way = end - start
+    length = np.maximum(np.einsum("ni,ni->n", way, way), 1e-18)
+    share = np.clip(np.einsum("ni,ni->n", points - start, way) / length, 0.0, 1.0)
+    return np.asarray(np.linalg.norm(points - start - share[:, None] * way, axis=1))
+
+
+def _sampled_motion(
+    arm: ArmModel,
+    spline: toppra.SplineInterpolator,
+    grid: Array,
+    paces: Array,
+    tcp_speed: float,
+) -> Timed:
+    """Samples a motion so densely that lines between the samples stay near it, in speed, too.
+
+    ``path`` of the result is the place on the grid.
+    """
+    times = _samples(float(_grid_times(grid, paces)[-1]))
+    for _ in range(_DENSER_ROUNDS + 1):
+        places, speeds = _at_times(grid, paces, times)
+        positions = spline(places)
+        middle = 0.5 * (times[1:] + times[:-1])
+        there = arm.forward_scanner(spline(_at_times(grid, paces, middle)[0]))[:, :3, 3]
+        lines = arm.forward_scanner(0.5 * (positions[1:] + positions[:-1]))[:, :3, 3]
+        wide = np.linalg.norm(there - lines, axis=1) > SAMPLE_M
+        # Where the scanner turns about itself, lines may move it faster than the motion does.
+        wide |= line_use(arm, times, positions, tcp_speed) > 1.0
+        wide &= np.diff(times) > _SHORTEST_S
+        if not wide.any():
+            break
+        times = np.sort(np.concatenate([times, middle[wide]]))
+    velocities = spline(places, 1) * speeds[:, None]
+    positions[[0, -1]] = spline(grid[[0, -1]])
+    return Timed(times, positions, velocities, places)
+
+
+def _excess(arm: ArmModel, timed: Timed, limits: Limits) -> float:
+    """How much slower a motion has to be for limits to hold between grid points too; 1 = none.
+
+    Samples carry positions and velocities; any motion through both needs an acceleration of at
+    least ``2 d + sqrt(4 d^2 + r^2)``, where r is the mean one and d the defect of the trapezoid
+    rule per step.
+    """
+    times, positions, velocities = timed.times, timed.positions, timed.velocities
+    steps = np.diff(times)[:, None]
     joint = float((np.abs(velocities) / limits.velocity).max())
-    rate = float((np.abs(np.diff(velocities, axis=0)) / steps[:, None]).max()) / limits.acceleration
-    parts = np.arange(_PARTS)[:, None] / _PARTS
-    fine = (positions[:-1, None] + parts * np.diff(positions, axis=0)[:, None]).reshape(-1, 6)
-    places = arm.forward_scanner(np.vstack([fine, positions[-1:]]))[:, :3, 3]
-    tcp = np.linalg.norm(np.diff(places, axis=0), axis=1) / np.repeat(steps / _PARTS, _PARTS)
-    return max(1.0, joint, float(np.sqrt(rate)), float(tcp.max()) / limits.tcp_speed)
+    mean = np.diff(positions, axis=0) / steps
+    joint = max(joint, float((np.abs(mean) / limits.velocity).max()))
+    rate = np.diff(velocities, axis=0) / steps
+    defect = np.abs(0.5 * (velocities[1:] + velocities[:-1]) - mean) / steps
+    needed = float((2.0 * defect + np.sqrt(4.0 * defect**2 + rate**2)).max())
+    fast = float(line_use(arm, times, positions, limits.tcp_speed).max())
+    return max(1.0, joint, float(np.sqrt(needed / limits.acceleration)), fast)
 
 
 def tcp_length(arm: ArmModel, q: Array) -> float:
@@ -164,20 +242,21 @@ def _step_lengths(arm: ArmModel, q: Array) -> Array:
     return np.asarray(np.maximum(joint + tcp, 1e-6))
 
 
-def _sampled(grid: Array, paces: Array) -> tuple[Array, Array, Array]:
-    """Times, places and paces of samples, with constant pace change between grid points."""
+def _grid_times(grid: Array, paces: Array) -> Array:
+    """When the grid points are passed, with constant pace change between them, shape (n,) [s]."""
     steps = 2.0 * np.diff(grid) / (paces[:-1] + paces[1:])
-    grid_times = np.concatenate([[0.0], np.cumsum(steps)])
-    rates = np.diff(paces) / steps
-    times = _samples(float(grid_times[-1]))
-    cell = np.clip(np.searchsorted(grid_times, times, side="right") - 1, 0, len(rates) - 1)
-    since = times - grid_times[cell]
+    return np.concatenate([[0.0], np.cumsum(steps)])
+
+
+def _at_times(grid: Array, paces: Array, times: Array) -> tuple[Array, Array]:
+    """Places and paces at times."""
+    passed = _grid_times(grid, paces)
+    rates = np.diff(paces) / np.diff(passed)
+    cell = np.clip(np.searchsorted(passed, times, side="right") - 1, 0, len(rates) - 1)
+    since = times - passed[cell]
     places = grid[cell] + paces[cell] * since + 0.5 * rates[cell] * since**2
-    return (
-        times,
-        np.clip(places, grid[0], grid[-1]),
-        np.maximum(paces[cell] + rates[cell] * since, 0.0),
-    )
+    speeds = np.maximum(paces[cell] + rates[cell] * since, 0.0)
+    return np.clip(places, grid[0], grid[-1]), speeds
 
 
 def _slow_paces(

@@ -9,7 +9,7 @@ prices, which no tour's cost depends on, are raised where the tree branches off.
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.trajectory.graph import BREAK_S, NEAR_BREAK_S, NEAR_M, StationGraph
+from skinplan.trajectory.graph import BREAK_PRICE_S, BREAK_S, StationGraph
 from skinplan.transforms import Array
 
 _STEPS = 150
@@ -47,9 +47,7 @@ def _least_costs(graph: StationGraph, views: NDArray[np.int64]) -> Array:
             way = float(gaps.min())
             # No joint can move less than that when the scanner moves so far.
             turn = way / lever
-            stop = BREAK_S + turn / float(problem.velocity.max())
-            if float(gaps.max()) <= NEAR_M:
-                stop += NEAR_BREAK_S
+            stop = BREAK_S + BREAK_PRICE_S + turn / float(problem.velocity.max())
             result[i, j] = result[j, i] = min(way / problem.tcp_speed, stop)
     return result
 

@@ -8,7 +8,7 @@ import numpy as np
 from skinplan.robot.collision import CollisionWorld
 from skinplan.robot.dexterity import Dexterity
 from skinplan.trajectory.blend import blended
-from skinplan.trajectory.pace import polyline_s, rest_to_rest
+from skinplan.trajectory.durations import polyline_s, rest_to_rest
 from skinplan.trajectory.straight import Poses, follow, nearest_ends
 from skinplan.trajectory.tree_search import connect, shortcut
 from skinplan.transforms import Array
