@@ -65,6 +65,9 @@ StationOption = Annotated[
 OrderOption = Annotated[
     str | None, typer.Option(help="Order strategy; without it the part file's.")
 ]
+TimingOption = Annotated[
+    str | None, typer.Option(help="Timing: toppra or bezier; without it the part file's.")
+]
 RunsOption = Annotated[Path, typer.Option("--runs", help="Folder that holds the runs.")]
 
 
@@ -169,6 +172,7 @@ def plan(
     strategy: StrategyOption = None,
     stations: StationOption = None,
     order: OrderOption = None,
+    timing: TimingOption = None,
     optimise_passes: Annotated[
         bool,
         typer.Option("--optimise-passes", help="Optimise depth and angles of the scan passes."),
@@ -197,7 +201,7 @@ def plan(
 ) -> None:
     """Plan a part at its nominal place, without ROS."""
     with console.command(as_json):
-        asked = _with_strategies(resolve_part(part, unit), strategy, stations, order)
+        asked = _with_strategies(resolve_part(part, unit), strategy, stations, order, timing)
         if optimise_passes:
             asked = replace(asked, scan=replace(asked.scan, optimise_passes=True))
         config = load_cell(cell)
@@ -229,6 +233,7 @@ def run(
     strategy: StrategyOption = None,
     stations: StationOption = None,
     order: OrderOption = None,
+    timing: TimingOption = None,
     time_factor: Annotated[
         float, typer.Option(min=0.1, max=50.0, help="Times faster than real time.")
     ] = 5.0,
@@ -241,7 +246,7 @@ def run(
     with console.command(as_json):
         asked = resolve_part(part, unit)
         _refuse_bad_mesh(asked)
-        asked = _with_strategies(asked, strategy, stations, order)
+        asked = _with_strategies(asked, strategy, stations, order, timing)
         load_cell(cell)
         request = RunRequest(asked, runs.absolute(), cell, time_factor, seed)
         with console.progress_bar(f"run {asked.id}") as progress:
@@ -321,13 +326,18 @@ def _sample_title(name: str) -> str:
 
 
 def _with_strategies(
-    part: Part, strategy: str | None, stations: str | None, order: str | None
+    part: Part,
+    strategy: str | None,
+    stations: str | None,
+    order: str | None,
+    timing: str | None,
 ) -> Part:
     scan = replace(
         part.scan,
         strategy=strategy or part.scan.strategy,
         station_strategy=stations or part.scan.station_strategy,
         order_strategy=order or part.scan.order_strategy,
+        timing=timing or part.scan.timing,
     )
     check_strategies(scan)
     return replace(part, scan=scan)

@@ -12,12 +12,14 @@ from typing import Any, TypeVar
 
 from skinplan.errors import CancelledError, InputError, SkinplanError, StageError
 from skinplan.inspection.gaps import missing_samples
+from skinplan.mesh.model import SurfaceMesh
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Fixture, Part, ScanSettings
 from skinplan.plan_record import planning_summary, write_json, write_plan_files
 from skinplan.robot.arm import JOINT_NAMES
 from skinplan.robot.cell import CellConfig
+from skinplan.robot.tracker import TrackerSight
 from skinplan.scan_path.model import ScanPath
 from skinplan.scan_path.plan import STRATEGIES as SCAN_PATH_STRATEGIES
 from skinplan.scan_path.plan import plan_scan_path
@@ -29,6 +31,8 @@ from skinplan.stations.model import StationPlan
 from skinplan.stations.plan import STRATEGIES as STATION_STRATEGIES
 from skinplan.stations.plan import plan_stations
 from skinplan.strategies import chosen
+from skinplan.trajectory.assemble import TIMINGS
+from skinplan.trajectory.certify import TimedCoverage, certify_trajectories
 from skinplan.trajectory.cycle import CycleTime, cycle_time
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.trajectory.passes import optimise_passes
@@ -41,7 +45,13 @@ Result = TypeVar("Result")
 
 STAGES = ("mesh", "scan_path", "coverage", "stations", "trajectory")
 # Share of the whole planning time that each stage takes on the sample parts, for the progress bar.
-_SHARES = {"mesh": 0.05, "scan_path": 0.35, "coverage": 0.1, "stations": 0.3, "trajectory": 0.2}
+_SHARES = {
+    "mesh": 0.05,
+    "scan_path": 0.2,
+    "coverage": 0.1,
+    "stations": 0.3,
+    "trajectory": 0.35,
+}
 
 
 def stage_shares(stages: Sequence[str]) -> dict[str, float]:
@@ -63,6 +73,7 @@ class Plan:
         station_plan: Stations, map frame; None = not asked for.
         trajectories: Of all stations, in the order of visit; empty = not asked for.
         cycle: Cycle time figures; None = not asked for.
+        timed: What the trajectories see at the scanner's frames; None = not asked for.
     """
 
     part: Part
@@ -73,6 +84,7 @@ class Plan:
     station_plan: StationPlan | None = None
     trajectories: tuple[StationTrajectory, ...] = ()
     cycle: CycleTime | None = None
+    timed: TimedCoverage | None = None
 
     def summary(self) -> dict[str, Any]:
         """Returns the document that ``skinplan plan --json`` prints."""
@@ -86,6 +98,7 @@ class Plan:
             trajectories=self.trajectories,
             cycle=self.cycle,
             planning_s=self.planning_s,
+            timed=self.timed,
         )
 
     def write(self, folder: Path) -> None:
@@ -169,6 +182,7 @@ def check_strategies(scan: ScanSettings) -> None:
     chosen("scan path", scan.strategy, SCAN_PATH_STRATEGIES)
     chosen("station", scan.station_strategy, STATION_STRATEGIES)
     chosen("order", scan.order_strategy, ORDER_STRATEGIES)
+    chosen("timing", scan.timing, TIMINGS)
 
 
 def plan_part(
@@ -228,21 +242,46 @@ def plan_part(
     planned = replace(planned, station_plan=station_plan)
     if "trajectory" not in wanted:
         return planned
-    trajectories = stages.run(
+    trajectories, timed = stages.run(
         "trajectory",
-        lambda: plan_trajectories(
-            path,
-            station_plan,
-            part.T_map_workpiece,
-            mesh,
-            scan,
-            cell,
-            progress=stages.within("trajectory"),
-            is_cancelled=is_cancelled,
-        ),
+        lambda: _motion(part, mesh, path, station_plan, prediction, cell, stages, is_cancelled),
     )
     cycle = cycle_time(station_plan, trajectories, cell, scan, path)
-    return replace(planned, trajectories=trajectories, cycle=cycle)
+    return replace(planned, trajectories=trajectories, cycle=cycle, timed=timed)
+
+
+def _motion(
+    part: Part,
+    mesh: SurfaceMesh,
+    path: ScanPath,
+    station_plan: StationPlan,
+    prediction: Prediction,
+    cell: CellConfig,
+    stages: StageRunner,
+    is_cancelled: Callable[[], bool] | None,
+) -> tuple[tuple[StationTrajectory, ...], TimedCoverage]:
+    """The trajectories of all stations, and what they will see."""
+    scan, place = part.scan, part.T_map_workpiece
+    trajectories = plan_trajectories(
+        path,
+        station_plan,
+        place,
+        mesh,
+        scan,
+        cell,
+        progress=stages.within("trajectory"),
+        is_cancelled=is_cancelled,
+    )
+    sight = TrackerSight(cell, mesh, place, station_plan.T_map_tracker)
+    return trajectories, certify_trajectories(
+        prediction.certifier,
+        trajectories,
+        station_plan.stations,
+        place,
+        cell,
+        scan.frame_rate_hz,
+        sight,
+    )
 
 
 def plan_path(

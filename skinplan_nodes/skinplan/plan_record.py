@@ -12,9 +12,11 @@ from typing import Any
 import numpy as np
 
 from skinplan.scan_path.model import FEATURE, ScanPath
+from skinplan.scanner.figures import seen_ratio
 from skinplan.scanner.model import CoverageFigures
 from skinplan.scanner.sight import SIGHT_NAMES
 from skinplan.stations.model import SkippedPoint, StationPlan
+from skinplan.trajectory.certify import TimedCoverage
 from skinplan.trajectory.cycle import CycleTime
 from skinplan.trajectory.model import SCAN, StationTrajectory
 from skinplan.trajectory.pass_record import passes_document, passes_summary
@@ -70,6 +72,7 @@ def planning_summary(
     trajectories: Sequence[StationTrajectory],
     cycle: CycleTime | None,
     planning_s: Mapping[str, float],
+    timed: TimedCoverage | None = None,
 ) -> dict[str, Any]:
     """Returns the planning part of ``summary.json``; the keys that a plan and a run share.
 
@@ -83,6 +86,7 @@ def planning_summary(
         trajectories: Of all stations.
         cycle: Cycle time figures; None as above, and there is no ``plan_hash``.
         planning_s: Wall time of the stages mesh, scan_path, coverage, stations, trajectory [s].
+        timed: What the trajectories see; None as above.
 
     Returns:
         A document of plain numbers, strings, lists and dicts; NaN is written as None.
@@ -108,6 +112,8 @@ def planning_summary(
     if station_plan is not None and cycle is not None:
         skipped = [*station_plan.skipped, *(s for t in trajectories for s in t.skipped)]
         document["trajectory"] = _cycle_summary(cycle, skipped)
+        if timed is not None:
+            document["trajectory"]["coverage"] = _timed_summary(timed)
         document["plan_hash"] = combined_hash(
             [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
         )
@@ -222,6 +228,24 @@ def _cycle_summary(cycle: CycleTime, skipped: Sequence[SkippedPoint]) -> dict[st
         "breaks": cycle.breaks,
         "tcp_path_m": cycle.tcp_path_m,
         "skipped": _skipped_document(skipped),
+    }
+
+
+def _timed_summary(timed: TimedCoverage) -> dict[str, Any]:
+    found = timed.coverage
+    return {
+        "area_ratio": found.area_ratio,
+        "feature_area_ratio": found.feature_area_ratio,
+        "area_ratio_of_seeable": found.area_ratio_of_seeable,
+        "feature_area_ratio_of_seeable": found.feature_area_ratio_of_seeable,
+        "often_seen_area_ratio": seen_ratio(
+            found.samples,
+            found.views,
+            np.ones(len(found.views), dtype=bool),
+            found.least_views,
+        ),
+        "frames": timed.frames,
+        "frames_hidden": timed.hidden,
     }
 
 

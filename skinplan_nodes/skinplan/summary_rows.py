@@ -35,8 +35,14 @@ def plan_rows(summary: Mapping[str, Any]) -> Rows:
     if motion := summary.get("trajectory"):
         rows += [
             ("cycle time", f"{motion['cycle_s']:.0f} s (scan {motion['scan_s']:.0f} s)"),
+            ("breaks of the scan", motion["breaks"]),
             ("points skipped", len(motion["skipped"])),
         ]
+        if timed := motion.get("coverage"):
+            rows += [
+                ("certified on the motion", _percent(timed["area_ratio"])),
+                ("… of the features", _percent(timed["feature_area_ratio"])),
+            ]
     rows.append(("planned in", f"{summary['planning_s']['total']:.1f} s"))
     rows.append(("plan hash", summary.get("plan_hash", path["hash"])[:16]))
     return rows

@@ -66,6 +66,8 @@ class ScanSettings:
         tilt_max_rad: Largest tilt of a view direction for reach or clearance.
         clearance_m: Least distance between the scanner's origin and the part [m].
         tcp_speed_m_s: Speed limit of the scanner while scanning [m/s].
+        timing: Name of the timing: ``toppra`` (quickest) or ``bezier`` (bounded jerk).
+        frame_rate_hz: Frames that the scanner takes in a second [Hz].
         tour_effort_s: Order strategy ``tour``: about how long it searches at each station [s]. It
             is counted in moves looked at, so the plan does not depend on the machine.
         field_of_view: ``cylinder`` (the paper's) or ``cone`` (that it simplifies; r_f is the
@@ -92,6 +94,8 @@ class ScanSettings:
     tilt_max_rad: float = 0.2617993877991494
     clearance_m: float = 0.15
     tcp_speed_m_s: float = 0.2
+    timing: str = "toppra"
+    frame_rate_hz: float = 10.0
     tour_effort_s: float = 1.5
     field_of_view: str = "cylinder"
     least_views: int = 3

@@ -34,13 +34,14 @@ _NUMBERS = {
     "tilt_max_rad": _Bound(0.0, math.pi / 3, "rad"),
     "clearance_m": _Bound(0.0, 5.0, "m"),
     "tcp_speed_m_s": _Bound(0.001, 5.0, "m/s"),
+    "frame_rate_hz": _Bound(0.1, 10_000.0, "Hz"),
     "tour_effort_s": _Bound(0.0, 600.0, "s"),
     "incidence_margin_rad": _Bound(0.0, 0.5, "rad"),
     "field_margin_m": _Bound(0.0, 0.5, "m"),
 }
 _FIELDS_OF_VIEW = ("cylinder", "cone")
 _MOST_VIEWS = 1000
-_STRATEGIES = ("strategy", "station_strategy", "order_strategy")
+_STRATEGIES = ("strategy", "station_strategy", "order_strategy", "timing")
 SCAN_KEYS = tuple(field.name for field in dataclasses.fields(ScanSettings))
 
 

@@ -21,11 +21,13 @@ class Prediction:
         path: Certificate of the scan path.
         row_cutting: Certificate of row cutting over the whole part.
         motion: Certificate of the scan path with the motion between the points of each row.
+        certifier: What certified them, for further views of the same part.
     """
 
     path: Coverage
     row_cutting: Coverage
     motion: Coverage
+    certifier: Certifier
 
     @cached_property
     def figures(self) -> CoverageFigures:
@@ -57,7 +59,9 @@ def predict_coverage(
     """
     certifier = part_certifier(mesh, segmentation, settings, fixture)
     rows = rows_only_path(mesh, segmentation, settings)
-    return Prediction(certifier.points(path), certifier.points(rows), certifier.motion(path))
+    return Prediction(
+        certifier.points(path), certifier.points(rows), certifier.motion(path), certifier
+    )
 
 
 def part_certifier(

@@ -1,23 +1,30 @@
 """From a way through the points to timed segments, and the last check of every sample of them."""
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.robot.arm import ArmModel
 from skinplan.robot.collision import CollisionWorld
+from skinplan.strategies import chosen
+from skinplan.trajectory.bezier import time_bezier
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment
 from skinplan.trajectory.search import Way
 from skinplan.trajectory.timing import Limits, Timed, rest, tcp_length, time_line, time_path
 from skinplan.trajectory.transit import Transit
 from skinplan.transforms import Array
 
+Timing = Callable[[ArmModel, Array, Limits], Timed]
+
+TIMINGS: dict[str, Timing] = {"toppra": time_path, "bezier": time_bezier}
+
 _LOG = logging.getLogger(__name__)
 
 
 def timed_segments(
-    arm: ArmModel, way: Way, points: NDArray[np.int64], limits: Limits
+    arm: ArmModel, way: Way, points: NDArray[np.int64], limits: Limits, timing: str = "toppra"
 ) -> tuple[list[Segment], list[NDArray[np.int64]]]:
     """Times a way.
 
@@ -26,10 +33,12 @@ def timed_segments(
         way: The way; its points are places in ``points``.
         points: Indices into the scan path, shape (p,).
         limits: Limits while scanning; transits have no limit of the scanner's speed.
+        timing: Name of one of `TIMINGS`.
 
     Returns:
         The segments, and for each the edge of the way that each of its samples lies on.
     """
+    time_joints = chosen("timing", timing, TIMINGS)
     free = Limits(limits.velocity, limits.acceleration, np.inf)
     segments: list[Segment] = []
     places: list[NDArray[np.int64]] = []
@@ -37,7 +46,7 @@ def timed_segments(
     first = 0  # its first point
 
     def finish(last: int) -> None:
-        timed, edge, point_s = _time_run(arm, way, run, first, limits)
+        timed, edge, point_s = _time_run(arm, way, run, first, limits, time_joints)
         passed = points[way.points[first : last + 1]]
         segments.append(_segment(arm, SCAN, timed, passed, point_s))
         places.append(edge)
@@ -48,7 +57,7 @@ def timed_segments(
             continue
         if number > 0:
             finish(number - 1)
-        legs = [_time_leg(arm, leg, free) for leg in edge.legs]
+        legs = [_time_leg(arm, leg, free, time_joints) for leg in edge.legs]
         if legs:
             none = np.zeros(0, dtype=np.int64)
             segments.append(_segment(arm, TRANSIT, _joined(legs), none, np.zeros(0)))
@@ -72,7 +81,7 @@ def collision_edges(
 
 
 def _time_run(
-    arm: ArmModel, way: Way, run: list[int], first: int, limits: Limits
+    arm: ArmModel, way: Way, run: list[int], first: int, limits: Limits, time_joints: Timing
 ) -> tuple[Timed, NDArray[np.int64], Array]:
     """Times one scan segment: its motion, the edge of each sample, when points are passed."""
     pieces = [np.asarray(way.edges[number]) for number in run]
@@ -87,13 +96,13 @@ def _time_run(
     q, owner = q[moving], owner[moving[1:]]
     if len(q) < 2:
         return rest(way.states[first]), np.full(2, run[0]), np.zeros(len(step))
-    timed = time_path(arm, q, limits)
+    timed = time_joints(arm, q, limits)
     edges = owner[np.clip(timed.path.astype(int), 0, len(owner) - 1)]
     return timed, edges, np.interp(step, timed.path, timed.times)
 
 
-def _time_leg(arm: ArmModel, leg: Array, limits: Limits) -> Timed:
-    return time_line(leg[0], leg[1], limits) if len(leg) == 2 else time_path(arm, leg, limits)
+def _time_leg(arm: ArmModel, leg: Array, limits: Limits, time_joints: Timing) -> Timed:
+    return time_line(leg[0], leg[1], limits) if len(leg) == 2 else time_joints(arm, leg, limits)
 
 
 def _joined(legs: list[Timed]) -> Timed:

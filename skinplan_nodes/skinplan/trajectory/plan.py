@@ -24,7 +24,7 @@ from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import SkippedPoint, StationPlan
 from skinplan.strategies import chosen
 from skinplan.trajectory.ants_order import ants_order
-from skinplan.trajectory.assemble import collision_edges, timed_segments
+from skinplan.trajectory.assemble import TIMINGS, collision_edges, timed_segments
 from skinplan.trajectory.graph import Problem, StationGraph
 from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.trajectory.order import published_order
@@ -94,6 +94,7 @@ def plan_station_trajectory(
         CancelledError: The caller asked to stop.
     """
     order_of = chosen("order", settings.order_strategy, STRATEGIES)
+    chosen("timing", settings.timing, TIMINGS)
     points = _require_points(path, points)
     tell = _rising(progress)
     world = CollisionWorld(
@@ -136,7 +137,7 @@ def plan_station_trajectory(
         tcp_turn_s=settings.tcp_speed_m_s / _TCP_ACCELERATION,
     )
     limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
-    made = _timed_way(task, order_of, limits, station_id, tell)
+    made = _timed_way(task, order_of, limits, settings.timing, station_id, tell)
     reasons = states.reasons | made.way.dropped
     skipped = tuple(SkippedPoint(int(points[v]), reasons[v]) for v in sorted(reasons))
     result = StationTrajectory(station_id, tuple(made.segments), skipped)
@@ -157,7 +158,12 @@ class _Made:
 
 
 def _timed_way(
-    task: VisitTask, order_of: Order, limits: Limits, station_id: int, tell: Progress
+    task: VisitTask,
+    order_of: Order,
+    limits: Limits,
+    timing: str,
+    station_id: int,
+    tell: Progress,
 ) -> _Made:
     """Searches a way and times it, anew without the edges that collide between their ends.
 
@@ -176,7 +182,7 @@ def _timed_way(
             )
         tell(0.6 + 0.4 * min(repair / _REPAIRS, 1.0), "timing")
         world = graph.problem.world
-        segments, places = timed_segments(world.arm, way, task.among, limits)
+        segments, places = timed_segments(world.arm, way, task.among, limits, timing)
         bad = collision_edges(world, segments, places)
         if not bad:
             break
