@@ -227,6 +227,8 @@ def _cycle_summary(cycle: CycleTime, skipped: Sequence[SkippedPoint]) -> dict[st
         "lower_bound_s": cycle.lower_bound_s,
         "breaks": cycle.breaks,
         "tcp_path_m": cycle.tcp_path_m,
+        "jerk_rad_s3": cycle.jerk_rad_s3,
+        "stations": [asdict(station) for station in cycle.stations],
         "skipped": _skipped_document(skipped),
     }
 
