@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 from skinplan.errors import InputError, JointsInvalidError
 from skinplan.robot.arm import ArmModel
 from skinplan.trajectory.bezier_curve import BezierCurve
+from skinplan.trajectory.model import Segment
 from skinplan.trajectory.pacing import Course, paces, parabolas
 from skinplan.trajectory.sampling import line_use, sample_counts, sample_shares, tcp_speeds
 from skinplan.trajectory.timing import Limits, Timed
@@ -88,7 +89,7 @@ def _places(course: Course, durations: Array, segment: NDArray[np.int64], share:
     return np.asarray(course.places[segment] + gone * step[segment])
 
 
-def largest_jerk(timed: Timed) -> float:
+def largest_jerk(timed: Timed | Segment) -> float:
     """Returns the largest jerk of a joint that the samples of a motion show [rad/s^3].
 
     It is taken from second divided differences of the velocities, which are means of the jerk: a
