@@ -114,6 +114,10 @@ def planning_summary(
         document["trajectory"] = _cycle_summary(cycle, skipped)
         if timed is not None:
             document["trajectory"]["coverage"] = _timed_summary(timed)
+        document["trajectory"] = {
+            **_cycle_summary(cycle, skipped),
+            "order": _order_summary(trajectories),
+        }
         document["plan_hash"] = combined_hash(
             [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
         )
@@ -251,6 +255,37 @@ def _timed_summary(timed: TimedCoverage) -> dict[str, Any]:
     }
 
 
+def _order_summary(trajectories: Sequence[StationTrajectory]) -> dict[str, Any]:
+    """Sums over the stations where a figure is known; the gap over those where both are."""
+    names = {t.order: None for t in trajectories if t.order}
+    both = [t for t in trajectories if math.isfinite(t.order_cost) and math.isfinite(t.order_bound)]
+    return {
+        "strategy": ", ".join(names) or None,
+        "cost": _known_sum(t.order_cost for t in trajectories),
+        "bound": _known_sum(t.order_bound for t in trajectories),
+        "gap": _order_gap(sum(t.order_cost for t in both), sum(t.order_bound for t in both)),
+    }
+
+
+def _order_document(trajectory: StationTrajectory) -> dict[str, Any]:
+    cost, bound = trajectory.order_cost, trajectory.order_bound
+    return {
+        "strategy": trajectory.order or None,
+        "cost": cost,
+        "bound": bound,
+        "gap": _order_gap(cost, bound),
+    }
+
+
+def _known_sum(values: Iterable[float]) -> float | None:
+    known = [value for value in values if math.isfinite(value)]
+    return sum(known) if known else None
+
+
+def _order_gap(cost: float, bound: float) -> float | None:
+    return cost / bound - 1.0 if bound > 0.0 else None
+
+
 def _skipped_document(skipped: Iterable[SkippedPoint]) -> list[dict[str, Any]]:
     return [{"point": int(s.point), "reason": s.reason} for s in skipped]
 
@@ -329,6 +364,7 @@ def _trajectories_document(
         "stations": [
             {
                 "station": trajectory.station_id,
+                "order": _order_document(trajectory),
                 "segments": [
                     {
                         "kind": "scan" if segment.kind == SCAN else "transit",

@@ -37,7 +37,8 @@ def segment_of(kind, count=4):
     random = np.random.default_rng(count)
     points = np.arange(2 if kind == SCAN else 0, dtype=np.int64)
     times = np.linspace(0.0, 1.0, count)
-    return Segment(kind, times, *random.normal(size=(2, count, 6)), points, 0.25)
+    point_s = np.linspace(0.25, 1.0, len(points))
+    return Segment(kind, times, *random.normal(size=(2, count, 6)), points, 0.25, point_s)
 
 
 def plan_of(count):
@@ -158,10 +159,11 @@ def test_station_plan_refuses():
         c.station_plan_from_msg(msg)
 
 
+@pytest.mark.parametrize("rated", [(), ("published",), ("tour", 12.5, 11.0)])
 @pytest.mark.parametrize("kinds", [(), (TRANSIT, SCAN, TRANSIT, SCAN, TRANSIT)])
-def test_trajectories_round_trip(kinds):
+def test_trajectories_round_trip(kinds, rated):
     trajectory = StationTrajectory(
-        4, tuple(segment_of(kind) for kind in kinds), (SkippedPoint(3, "collision"),)
+        4, tuple(segment_of(kind) for kind in kinds), (SkippedPoint(3, "collision"),), *rated
     )
     msg = c.station_trajectory_to_msg(trajectory)
     assert_same(c.station_trajectory_from_msg(msg), trajectory)
@@ -187,6 +189,35 @@ def test_trajectory_refuses():
     msg.segments[0].trajectory.joint_names[0] = "base_joint"
     with pytest.raises(JointsInvalidError, match="base_joint|missing"):
         c.station_trajectory_from_msg(msg)
+
+
+@pytest.mark.parametrize(
+    "kind, times, text",
+    [
+        (SCAN, [], "found 0 for 2 points"),
+        (SCAN, [0.5], "found 1 for 2 points"),
+        (SCAN, [0.1, 0.2, 0.3], "found 3 for 2 points"),
+        (TRANSIT, [0.5], "found 1 for 0 points"),
+        (SCAN, [0.5, NAN], "number 1 is nan"),
+        (SCAN, [-0.1, 0.5], "number 0 is -0.1"),
+        (SCAN, [0.5, 1.1], "0 to its 1 s.*number 1 is 1.1"),
+        (SCAN, [0.5, 0.4], "do not fall.*number 1 is 0.4"),
+    ],
+)
+def test_segment_refuses_times_that_are_none_of_its_points(kind, times, text):
+    msg = c.segment_to_msg(segment_of(kind))
+    msg.point_times = times
+    with pytest.raises(InputError, match=text):
+        c.segment_from_msg(msg)
+
+
+def test_segment_of_earlier_messages_without_points_needs_no_times():
+    msg = c.segment_to_msg(segment_of(TRANSIT))
+    msg.point_times = []
+    assert len(c.segment_from_msg(msg).point_s) == 0
+
+
+def test_trajectory_plan_refuses():
     plan = c.trajectory_plan_to_msg([])
     plan.header.frame_id = "map"
     with pytest.raises(InputError, match="frame 'arm_base'"):

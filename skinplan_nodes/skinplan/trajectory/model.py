@@ -49,11 +49,18 @@ class StationTrajectory:
         station_id: Number of the station.
         segments: In the order of execution; each begins where the one before ends.
         skipped: Points of this station that are not scanned, with the reason.
+        order: Name of the order strategy; empty = not known.
+        order_cost: What the strategy made small, in its own unit (``tour``: seconds of the graph's
+            estimates); NaN = nothing was, or not known.
+        order_bound: No order of the same points has a smaller cost; NaN = not known.
     """
 
     station_id: int
     segments: tuple[Segment, ...]
     skipped: tuple[SkippedPoint, ...]
+    order: str = ""
+    order_cost: float = float("nan")
+    order_bound: float = float("nan")
 
     @property
     def scan_s(self) -> float:

@@ -140,7 +140,8 @@ def plan_station_trajectory(
     made = _timed_way(task, order_of, limits, settings.timing, station_id, tell)
     reasons = states.reasons | made.way.dropped
     skipped = tuple(SkippedPoint(int(points[v]), reasons[v]) for v in sorted(reasons))
-    result = StationTrajectory(station_id, tuple(made.segments), skipped)
+    rated = settings.order_strategy, made.order.cost, made.order.bound
+    result = StationTrajectory(station_id, tuple(made.segments), skipped, *rated)
     _LOG.info(
         "station %d: %d points, %d skipped, %d breaks, scan %.1f s, transit %.1f s",
         station_id, len(made.way.points), len(skipped), result.breaks, result.scan_s,

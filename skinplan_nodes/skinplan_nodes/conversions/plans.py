@@ -20,6 +20,9 @@ from skinplan_nodes.conversions.geometry import (
 )
 from skinplan_nodes.conversions.joints import joint_trajectory_from_msg, joint_trajectory_to_msg
 
+# Times of a trajectory travel in whole nanoseconds, those of its points as they are.
+_TIME_TOLERANCE_S = 1e-6
+
 
 @dataclass(frozen=True)
 class PlanTimes:
@@ -115,6 +118,7 @@ def segment_to_msg(segment: Segment) -> messages.TrajectorySegment:
         kind=segment.kind,
         trajectory=joint_trajectory_to_msg(segment.times, segment.positions, segment.velocities),
         points=segment.points.tolist(),
+        point_times=np.asarray(segment.point_s, dtype=float).tolist(),
         tcp_path=float(segment.tcp_path_m),
     )
 
@@ -124,13 +128,33 @@ def segment_from_msg(msg: messages.TrajectorySegment) -> Segment:
 
     Raises:
         JointsInvalidError: Joints that do not fit the arm.
-        InputError: An unknown kind.
+        InputError: An unknown kind, or times of the points that are none: another number than of
+            points, not finite, falling, or outside the segment.
     """
     if msg.kind not in (TRANSIT, SCAN):
         raise InputError(f"segment: the kinds {TRANSIT} and {SCAN} are accepted, found {msg.kind}")
     times, positions, velocities = joint_trajectory_from_msg(msg.trajectory)
     points = np.array(msg.points, dtype=np.int64)
-    return Segment(msg.kind, times, positions, velocities, points, msg.tcp_path)
+    point_s = _point_times(msg, float(times[-1]) if len(times) else 0.0)
+    return Segment(msg.kind, times, positions, velocities, points, msg.tcp_path, point_s)
+
+
+def _point_times(msg: messages.TrajectorySegment, duration_s: float) -> Array:
+    found = np.array(msg.point_times, dtype=float)
+    if len(found) != len(msg.points):
+        raise InputError(
+            f"segment: as many point_times as points are accepted, found {len(found)} for "
+            f"{len(msg.points)} points"
+        )
+    good = (found >= -_TIME_TOLERANCE_S) & (found <= duration_s + _TIME_TOLERANCE_S)
+    good[1:] &= found[1:] >= found[:-1]
+    if not good.all():
+        first = int(np.argmin(good))
+        raise InputError(
+            f"segment: point_times from 0 to its {duration_s:g} s that do not fall are accepted, "
+            f"number {first} is {found[first]:g}"
+        )
+    return found
 
 
 def station_trajectory_to_msg(trajectory: StationTrajectory) -> messages.StationTrajectory:
@@ -142,6 +166,9 @@ def station_trajectory_to_msg(trajectory: StationTrajectory) -> messages.Station
         scan_duration=float(trajectory.scan_s),
         transit_duration=float(trajectory.transit_s),
         breaks=trajectory.breaks,
+        order=trajectory.order,
+        order_cost=float(trajectory.order_cost),
+        order_bound=float(trajectory.order_bound),
     )
 
 
@@ -151,6 +178,9 @@ def station_trajectory_from_msg(msg: messages.StationTrajectory) -> StationTraje
         msg.station_id,
         tuple(segment_from_msg(segment) for segment in msg.segments),
         skipped_from_msg(msg.skipped),
+        msg.order,
+        msg.order_cost,
+        msg.order_bound,
     )
 
 
