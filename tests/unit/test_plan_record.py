@@ -1,15 +1,21 @@
 """Hashes, plan files and the summary's document."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from skinplan import plan_record
+from skinplan.part.model import ScanSettings
+from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import FEATURE, ROW, ScanPath
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
+from skinplan.trajectory.cycle import cycle_time
 from skinplan.trajectory.model import SCAN, Segment, StationTrajectory
 from skinplan.transforms import planar
+
+ORDER_FIELDS = ("order", "order_cost", "order_bound")
 
 
 def make_path(shift: float = 0.0) -> ScanPath:
@@ -66,6 +72,56 @@ def test_plan_files_are_plain_json(tmp_path):
     assert [point["kind"] for point in path["points"]] == ["row", "row", "feature"]
     trajectories = json.loads((tmp_path / "plan" / "trajectories.json").read_text())
     assert trajectories["stations"][0]["segments"][0]["kind"] == "scan"
+
+
+def summary_of(trajectories):
+    stations, path = make_stations(), make_path()
+    cycle = cycle_time(stations, trajectories, CellConfig(), ScanSettings(), path)
+    return plan_record.planning_summary(
+        triangles=1,
+        area_m2=1.0,
+        mesh_sha256="",
+        path=path,
+        coverage=None,
+        station_plan=stations,
+        trajectories=trajectories,
+        cycle=cycle,
+        planning_s={},
+    )["trajectory"]["order"]
+
+
+def rated(*values):
+    return replace(make_trajectory(), **dict(zip(ORDER_FIELDS, values, strict=False)))
+
+
+def test_rating_of_the_order_is_summed_over_stations_where_it_is_known():
+    found = summary_of([rated("tour", 12.0, 10.0), rated("tour", 6.0, 5.0)])
+    assert found == {"strategy": "tour", "cost": 18.0, "bound": 15.0, "gap": pytest.approx(0.2)}
+    # A station without any motion and one without a bound: no part of the gap.
+    found = summary_of([rated("tour", 12.0, 10.0), rated(), rated("ants", 6.0)])
+    assert found["strategy"] == "tour, ants"
+    assert (found["cost"], found["bound"]) == (18.0, 10.0)
+    assert found["gap"] == pytest.approx(0.2)
+
+
+def test_rating_that_nobody_knows_is_none():
+    unknown = {"cost": None, "bound": None, "gap": None}
+    assert summary_of([rated("published")]) == {"strategy": "published", **unknown}
+    assert summary_of([]) == {"strategy": None, **unknown}
+    assert summary_of([rated("tour", 0.0, 0.0)])["gap"] is None
+
+
+def test_rating_of_the_order_is_in_the_trajectories_file(tmp_path):
+    stations = [rated("tour", 12.0, 10.0), rated()]
+    plan_record.write_plan_files(tmp_path, trajectories=stations)
+    written = json.loads((tmp_path / "trajectories.json").read_text())["stations"]
+    assert written[0]["order"] == {
+        "strategy": "tour",
+        "cost": 12.0,
+        "bound": 10.0,
+        "gap": pytest.approx(0.2),
+    }
+    assert set(written[1]["order"].values()) == {None}
 
 
 def test_only_what_is_given_is_written(tmp_path):

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from control_msgs.action import FollowJointTrajectory
+from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import NavigateToPose
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -23,7 +24,7 @@ from skinplan_msgs.srv import (
     RecorderStart,
     RecorderStop,
 )
-from std_srvs.srv import SetBool
+from std_srvs.srv import SetBool, Trigger
 
 from skinplan.jobs.model import Job
 from skinplan.scan_path.model import ScanPath
@@ -45,7 +46,7 @@ from skinplan_nodes.conversions import (
 from skinplan_nodes.qos import STATE
 from skinplan_nodes.supervisor.calls import Calls
 from skinplan_nodes.supervisor.cell import Located
-from skinplan_nodes.supervisor.control import JobControl, StepError
+from skinplan_nodes.supervisor.control import AbortError, JobControl, StepError
 from skinplan_nodes.supervisor.run_data import PlannedPath
 from skinplan_nodes.supervisor.waiting import Waiter
 
@@ -82,6 +83,8 @@ class RosCell:
         self._calls = Calls(node, self.waiter)
         self._joint_state: bytes | None = None
         self._path_msg: Any = None
+        # Of the stations planned last; without a frame: not known.
+        self._tracker, self._map_pose = PoseStamped(), PoseStamped()
         self.inspected = InspectionResult()
         group = ReentrantCallbackGroup()
         self._services = {
@@ -212,7 +215,11 @@ class RosCell:
         response = self._call(
             PlanStations, request, self._values.planning_timeout_s, "station_planner"
         )
-        return station_plan_from_msg(response.plan)
+        plan = station_plan_from_msg(response.plan)
+        place = plan.T_map_tracker
+        self._tracker = PoseStamped() if place is None else pose_stamped_to_msg(place, "map")
+        self._map_pose = request.pose
+        return plan
 
     def plan_trajectory(
         self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
@@ -225,13 +232,18 @@ class RosCell:
             pose=pose_stamped_to_msg(T_arm_base_workpiece, "arm_base"),
             points=points,
             start=self._arm_state(),
+            tracker=self._tracker,
+            map_pose=self._map_pose,
         )
         try:
             response = self._call(
                 PlanTrajectories, request, self._values.planning_timeout_s, "trajectory_planner"
             )
         except StepError as error:
-            if error.code == Status.NO_TRAJECTORY:
+            if isinstance(error, AbortError) or error.code == Status.DEVICE_TIMEOUT:
+                # Nobody waits for it any more, but the next job's would have to.
+                self._cancel_planning()
+            elif error.code == Status.NO_TRAJECTORY:
                 return None
             raise
         return station_trajectory_from_msg(response.trajectory)
@@ -269,6 +281,10 @@ class RosCell:
             while not off.done() and time.monotonic() < deadline:
                 time.sleep(0.01)
 
+    def _cancel_planning(self) -> None:
+        if self._services[Trigger].service_is_ready():
+            self._services[Trigger].call_async(Trigger.Request())
+
     def _arm_state(self) -> JointState:
         raw = self._joint_state
         if raw is None:
@@ -298,6 +314,7 @@ _SERVICES: dict[Any, str] = {
     PlanScanPath: "plan_scan_path",
     PlanStations: "plan_stations",
     PlanTrajectories: "plan_trajectories",
+    Trigger: "plan_trajectories/cancel",
     SetBool: "scanner/enable",
 }
 _ACTIONS: dict[Any, str] = {
