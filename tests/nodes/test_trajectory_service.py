@@ -280,7 +280,7 @@ def test_requests_for_one_station_that_are_none(
 
 
 def many_stations(request: PlanTrajectories.Request) -> None:
-    request.stations.stations = [messages.Station(id=number) for number in range(5_000)]
+    request.stations.stations = [messages.Station(id=number) for number in range(2_000)]
 
 
 def point_at_two(request: PlanTrajectories.Request) -> None:
@@ -319,7 +319,7 @@ ALL_CASES: list[tuple[str, Change, int, str]] = [
     ),
     ("two", point_at_two, Status.SCAN_PATH_INVALID, "at 2 of them"),
     ("one id", one_id, 1001, "0 is the id of 2"),
-    ("huge", many_stations, Status.NO_TRAJECTORY, "none of the 5000 stations"),
+    ("huge", many_stations, Status.NO_TRAJECTORY, "none of the 2000 stations"),
 ]
 
 
@@ -342,14 +342,24 @@ def test_nothing_to_cancel(bench: Bench) -> None:
     assert (answer.success, answer.message) == (False, "nothing is being planned")
 
 
-def many(planned: Planned, count: int = 40) -> StationPlan:
-    """The points of the first station at many stations: long work."""
-    (station,) = planned.plan.stations[:1]
-    stations = [
-        replace(station, id=number, points=points)
-        for number, points in enumerate(np.array_split(station.points, count))
-    ]
-    return replace(planned.plan, stations=tuple(stations))
+STATIONS = 100
+AT_WORK = f"of {STATIONS}: "
+
+
+def long_request(planned: Planned) -> PlanTrajectories.Request:
+    """Long work: the same scan path again and again, its points at many stations."""
+    path, station = planned.path, planned.plan.stations[0]
+    again = [np.concatenate([array] * STATIONS) for array in (path.positions, path.directions)]
+    targets, kinds = (np.concatenate([array] * STATIONS) for array in (path.targets, path.kinds))
+    groups = np.concatenate([path.groups + 100 * number for number in range(STATIONS)])
+    stations = tuple(
+        replace(station, id=number, points=station.points + number * len(path))
+        for number in range(STATIONS)
+    )
+    return planned.all(
+        replace(planned.plan, stations=stations),
+        path=scan_path_to_msg(ScanPath(*again, targets, kinds, groups, path.strategy, 1)),
+    )
 
 
 class Asked:
@@ -375,15 +385,15 @@ def wait_for_work(bench: Bench, text: str) -> None:
 
 
 def test_cancel_ends_the_planning_and_the_node_stays_usable(bench: Bench, planned: Planned) -> None:
-    asked = Asked(bench, planned.all(many(planned)))
-    wait_for_work(bench, "of 40: ")
+    asked = Asked(bench, long_request(planned))
+    wait_for_work(bench, AT_WORK)
     begin = time.monotonic()
     answer = cancel(bench)
-    assert (answer.success, answer.message) == (True, "planning 40 stations is being cancelled")
+    assert (answer.success, answer.message) == (True, "planning 100 stations is being cancelled")
     found = asked.answer()
     assert time.monotonic() - begin < CANCEL_S
     assert found.status.code == Status.PLANNING_CANCELLED
-    assert found.status.message == "planning 40 stations was cancelled"
+    assert found.status.message == "planning 100 stations was cancelled"
     assert not found.plan.stations
     assert not cancel(bench).success
     assert ask(bench, planned.one(strategy="published")).status.code == Status.OK
@@ -392,10 +402,10 @@ def test_cancel_ends_the_planning_and_the_node_stays_usable(bench: Bench, planne
 def test_a_second_request_waits_and_cancel_ends_only_the_first(
     bench: Bench, planned: Planned
 ) -> None:
-    first = Asked(bench, planned.all(many(planned)))
-    wait_for_work(bench, "of 40: ")
+    first = Asked(bench, long_request(planned))
+    wait_for_work(bench, AT_WORK)
     second = Asked(bench, planned.one(strategy="published"))
-    assert cancel(bench).message == "planning 40 stations is being cancelled"
+    assert cancel(bench).message == "planning 100 stations is being cancelled"
     assert first.answer().status.code == Status.PLANNING_CANCELLED
     found = second.answer()
     assert (found.status.code, found.status.message) == (Status.OK, "")
@@ -406,8 +416,8 @@ def test_the_end_of_the_node_ends_the_planning(planned: Planned) -> None:
     own = Bench()
     try:
         node = own.start(TrajectoryPlanner, simulated=False)
-        asked = Asked(own, planned.all(many(planned)))
-        wait_for_work(own, "of 40: ")
+        asked = Asked(own, long_request(planned))
+        wait_for_work(own, AT_WORK)
         begin = time.monotonic()
         node.asked_to_end.set()
         assert asked.answer().status.code == Status.PLANNING_CANCELLED

@@ -136,6 +136,7 @@ def test_summary_has_all_keys(summary: dict[str, Any]) -> None:
             "breaks",
             "tcp_path_m",
             "skipped",
+            "order",
         },
         "planning_s": {"mesh", "scan_path", "coverage", "stations", "trajectory", "total"},
         "measured": {"points", "area_ratio", "feature_area_ratio", "deviation_rms_m"},

@@ -69,6 +69,16 @@ def test_the_time_of_each_point_is_when_the_scanner_is_there():
     assert np.linalg.norm(there - PATH.positions[segment.points], axis=1).max() < 2e-3
 
 
+@pytest.mark.parametrize("strategy", ["published", "tour"])
+def test_it_says_how_good_the_order_of_visit_is(strategy):
+    found = plan(settings=dataclasses.replace(SCAN, order_strategy=strategy))
+    assert found.order == strategy
+    if strategy == "published":
+        assert np.isnan([found.order_cost, found.order_bound]).all(), "nothing was made small"
+    else:
+        assert 0.0 < found.order_bound <= found.order_cost + 1e-9
+
+
 def test_rows_are_driven_near_the_speed_limit():
     found = plan()
     length = np.linalg.norm(np.diff(PATH.positions[scanned(found)], axis=0), axis=1).sum()
