@@ -46,12 +46,16 @@ def station_hash(plan: StationPlan) -> str:
 
 
 def trajectory_hash(trajectories: Iterable[StationTrajectory]) -> str:
-    """Returns the SHA-256 of all segments' kinds, times and joint positions, lower-case hex."""
+    """Returns the SHA-256 of all segments' kinds, times and joint positions, lower-case hex.
+
+    Times count as they are after a message carried them, in whole nanoseconds: the receiver finds
+    the sender's hash.
+    """
     digest = hashlib.sha256()
     for trajectory in trajectories:
         for segment in trajectory.segments:
             digest.update(bytes([segment.kind]))
-            _update(digest, segment.times)
+            _update(digest, _whole_microseconds(segment.times))
             _update(digest, segment.positions)
     return digest.hexdigest()
 
@@ -179,6 +183,10 @@ def plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
     return value
+
+
+def _whole_microseconds(times: Array) -> Any:
+    return np.rint(np.rint(times * 1e9) / 1e3).astype(np.int64)
 
 
 def _update(digest: Any, array: Any) -> None:

@@ -176,6 +176,17 @@ def test_trajectories_round_trip(kinds, rated):
     assert (plan.base_duration, plan.lower_bound) == (3.0, 2.0)
 
 
+def test_the_receiver_of_a_trajectory_finds_the_sender_s_hash():
+    # Messages carry whole nanoseconds: some of so many times round to another microsecond then.
+    segment = segment_of(SCAN, 20_000)
+    times = np.sort(np.random.default_rng(0).uniform(0.0, 1.0, 20_000))
+    sent = StationTrajectory(0, (replace(segment, times=times, point_s=times[-2:]),), ())
+    msg = c.trajectory_plan_to_msg([sent])
+    assert trajectory_hash(c.trajectory_plan_from_msg(msg)) == msg.plan_hash
+    found = c.segment_from_msg(msg.stations[0].segments[0])
+    assert (np.rint(found.times * 1e6) != np.rint(times * 1e6)).any()
+
+
 def test_trajectory_plan_empty():
     assert c.trajectory_plan_from_msg(c.trajectory_plan_to_msg([])) == ()
 

@@ -134,6 +134,7 @@ def test_one_station_is_the_library_s(bench: Bench, planned: Planned, strategy: 
         T_arm_base_map=T_arm_base_workpiece @ inverse(planned.part.T_map_workpiece),
     )
     assert answer.plan.plan_hash == trajectory_hash([wanted])
+    assert answer.plan.plan_hash == trajectory_hash(trajectory_plan_from_msg(answer.plan))
     # NaN is not equal to itself, its name is.
     assert str(answer.trajectory) == str(answer.plan.stations[0])
     assert np.isnan(answer.plan.base_duration)
@@ -165,6 +166,7 @@ def test_all_stations_are_the_library_s(bench: Bench, planned: Planned, strategy
         CellConfig(),
     )
     assert answer.plan.plan_hash == trajectory_hash(wanted)
+    assert answer.plan.plan_hash == trajectory_hash(trajectory_plan_from_msg(answer.plan))
     assert not answer.trajectory.segments, "that is for one station"
     cycle = cycle_time(plan, wanted, CellConfig(), settings, planned.path)
     assert answer.plan.base_duration == cycle.base_s
