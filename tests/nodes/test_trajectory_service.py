@@ -189,8 +189,8 @@ def test_no_station_that_can_scan_is_a_named_error(bench: Bench, planned: Planne
     assert not answer.plan.stations
 
 
-def tracker_behind_a_wall() -> np.ndarray:
-    """A place from where the tracker sees nothing: it looks away from everything."""
+def far_tracker() -> np.ndarray:
+    """A place from where the tracker sees nothing: far out of its range."""
     T_map_tracker = np.eye(4)
     T_map_tracker[:3, 3] = [500.0, 500.0, 1.0]
     return T_map_tracker
@@ -199,11 +199,11 @@ def tracker_behind_a_wall() -> np.ndarray:
 def test_the_tracker_of_the_request_is_the_one_that_has_to_see_the_scanner(
     bench: Bench, planned: Planned
 ) -> None:
-    place = pose_stamped_to_msg(tracker_behind_a_wall(), "map")
+    place = pose_stamped_to_msg(far_tracker(), "map")
     answer = ask(bench, planned.one(tracker=place))
     assert answer.status.code == Status.NO_TRAJECTORY
     assert "tracker" in answer.status.message
-    plan = replace(planned.plan, T_map_tracker=tracker_behind_a_wall())
+    plan = replace(planned.plan, T_map_tracker=far_tracker())
     assert ask(bench, planned.all(plan)).status.code == Status.NO_TRAJECTORY
 
 

@@ -224,7 +224,10 @@ class RosCell:
     def plan_trajectory(
         self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
     ) -> StationTrajectory | None:
-        """Makes the arm's motion at one station, from where the arm stands."""
+        """Makes the arm's motion at one station, from where the arm stands.
+
+        Tracker and part are in the shop where the stations planned last suppose them.
+        """
         request = PlanTrajectories.Request(
             part=_reference(job),
             path=self._path_msg,
