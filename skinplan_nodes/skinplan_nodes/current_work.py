@@ -4,7 +4,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
-from skinplan.errors import CancelledError
+from skinplan.errors import CancelledError, SkinplanError
 
 Progress = Callable[[float, str], None]
 
@@ -70,19 +70,21 @@ class CurrentWork:
         """Works on something that can be cancelled inside.
 
         Raises:
-            CancelledError: It was cancelled, however far it had come: who was told that the work is
-                cancelled does not get its result.
+            CancelledError: It was cancelled, however far it had come and whatever came out: who was
+                told that the work is cancelled gets neither its result nor its error.
         """
         work = Work(what, self._ended, self._note)
         with self._lock:
             self._work = work
         try:
             yield work
-        except CancelledError as error:
-            raise CancelledError(f"{what} was cancelled") from error
+        except SkinplanError as error:
+            self._clear()
+            if work.is_cancelled():
+                raise CancelledError(f"{what} was cancelled") from error
+            raise
         finally:
-            with self._lock:
-                self._work = None
+            self._clear()
         work.check()
 
     def cancel(self) -> str:
@@ -92,3 +94,7 @@ class CurrentWork:
                 return ""
             self._work.cancel()
             return self._work.what
+
+    def _clear(self) -> None:
+        with self._lock:
+            self._work = None

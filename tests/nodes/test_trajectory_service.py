@@ -16,7 +16,7 @@ from std_srvs.srv import Trigger
 
 from nodes.bench import Bench
 from nodes.small_part import reference, write_small_part
-from skinplan.errors import CancelledError
+from skinplan.errors import CancelledError, NoTrajectoryError
 from skinplan.mesh.prepare import PreparedMesh, prepare_mesh
 from skinplan.part.model import Part
 from skinplan.plan_record import trajectory_hash
@@ -447,5 +447,13 @@ def test_who_was_told_that_it_is_cancelled_gets_no_result() -> None:
     ):
         current.cancel()
         work.progress(1.0, "never told")
+    with (
+        pytest.raises(CancelledError, match="planning station 4 was cancelled"),
+        current.doing("planning station 4"),
+    ):
+        current.cancel()
+        raise NoTrajectoryError("no point can be scanned")
+    with pytest.raises(NoTrajectoryError), current.doing("planning station 5"):
+        raise NoTrajectoryError("no point can be scanned")
     assert current.cancel() == ""
     assert told == [0.5]
