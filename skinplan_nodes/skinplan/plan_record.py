@@ -115,13 +115,12 @@ def planning_summary(
         document["stations"] = _stations_summary(station_plan)
     if station_plan is not None and cycle is not None:
         skipped = [*station_plan.skipped, *(s for t in trajectories for s in t.skipped)]
-        document["trajectory"] = _cycle_summary(cycle, skipped)
-        if timed is not None:
-            document["trajectory"]["coverage"] = _timed_summary(timed)
         document["trajectory"] = {
             **_cycle_summary(cycle, skipped),
             "order": _order_summary(trajectories),
         }
+        if timed is not None:
+            document["trajectory"]["coverage"] = _timed_summary(timed)
         document["plan_hash"] = combined_hash(
             [scan_path_hash(path), station_hash(station_plan), trajectory_hash(trajectories)]
         )
