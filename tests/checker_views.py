@@ -6,7 +6,7 @@ to the part by Embree, at every place that is 4 mm or half a degree from the one
 hits, the depth is inside the scanner's range and the incidence below the limit, within 3 mm and one
 degree. A pass that goes straight over a steep wall hits it at an angle that no trajectory can
 help (other views are for that wall): between two points a trajectory may have what the straight
-way between them has, plus the same tolerance.
+way between them has, or one 2 mm beside it, plus the same tolerance.
 """
 
 import numpy as np
@@ -19,6 +19,7 @@ TURN_RAD = np.radians(1.0)
 RAY_M = 0.004
 DENSER = 8
 RANGE_SPARE_M = 0.003
+BESIDE_M = 0.002  # as far as trajectories may be beside the straight way
 INCIDENCE_SPARE_RAD = np.radians(1.0)
 
 
@@ -82,9 +83,14 @@ def _ray_faults(mesh, settings, segment, times, views, there, owner):
     change = there[np.minimum(pair + 1, len(there) - 1)] - there[pair]
     straight = there[pair] + change * share[:, None, None]
     axes = straight[:, :3, 0] / np.linalg.norm(straight[:, :3, 0], axis=1, keepdims=True)
-    planned = _excess(caster, mesh, settings, straight[:, :3, 3], axes)
     worst = np.zeros((owner.max() + 1, 2))
-    np.maximum.at(worst, pair, planned)
+    # A ray just beside the way may meet the wall of a hole that the way itself misses.
+    for turn in (None, *np.arange(8) * np.pi / 4.0):
+        aside = np.zeros(3)
+        if turn is not None:
+            aside = BESIDE_M * np.array([0.0, np.cos(turn), np.sin(turn)])
+        origins = straight[:, :3, 3] + straight[:, :3, :3] @ aside
+        np.maximum.at(worst, pair, _excess(caster, mesh, settings, origins, axes))
     limit = np.where(worst > 0.0, worst + [RANGE_SPARE_M, INCIDENCE_SPARE_RAD], 0.0)[owner]
     texts = ("stand-off {:.4f} m outside the range", "incidence {:.3f} rad beyond the limit")
     for kind, text in enumerate(texts):

@@ -38,6 +38,7 @@ from skinplan.transforms import Array, apply, inverse, require_transform
 
 _LOG = logging.getLogger(__name__)
 _REPAIRS = 12
+_POSE_DIGITS = 10
 _REORDERS = 6  # at most so often an order strategy is asked again with more known
 _TCP_ACCELERATION = 3.0  # about what the arm gives the scanner [m/s^2]: prices turns in a tour
 
@@ -97,12 +98,12 @@ def plan_station_trajectory(
     chosen("timing", settings.timing, TIMINGS)
     points = _require_points(path, points)
     tell = _rising(progress)
-    world = CollisionWorld(
-        cell,
-        mesh,
-        require_transform(T_arm_base_workpiece, "T_arm_base_workpiece"),
-        T_arm_base_map,
-    )
+    T_arm_base_workpiece = _rounded(T_arm_base_workpiece, "T_arm_base_workpiece")
+    if T_arm_base_map is not None:
+        T_arm_base_map = _rounded(T_arm_base_map, "T_arm_base_map")
+    if T_map_tracker is not None:
+        T_map_tracker = _rounded(T_map_tracker, "T_map_tracker")
+    world = CollisionWorld(cell, mesh, T_arm_base_workpiece, T_arm_base_map)
     tell(0.05, "inverse kinematics")
     views = Views.placed(
         path.positions[points], path.directions[points], path.targets[points], T_arm_base_workpiece
@@ -282,6 +283,11 @@ def _rising(progress: Progress | None) -> Progress:
             progress(most, text)
 
     return tell
+
+
+def _rounded(T: Array, name: str) -> Array:
+    """A pose without its last digits: a message does not keep them, and ties hang on them."""
+    return np.round(require_transform(T, name), _POSE_DIGITS) + 0.0
 
 
 def _require_points(path: ScanPath, points: NDArray[np.int64]) -> NDArray[np.int64]:
