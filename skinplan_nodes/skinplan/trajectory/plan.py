@@ -286,8 +286,14 @@ def _rising(progress: Progress | None) -> Progress:
 
 
 def _rounded(T: Array, name: str) -> Array:
-    """A pose without its last digits: a message does not keep them, and ties hang on them."""
-    return np.round(require_transform(T, name), _POSE_DIGITS) + 0.0
+    """A pose without its last digits: a message does not keep them, and ties hang on them.
+
+    The rotation nearest to the rounded one is taken: the inverse kinematics ask for an exact one.
+    """
+    result = np.round(require_transform(T, name), _POSE_DIGITS) + 0.0
+    left, _, right = np.linalg.svd(result[:3, :3])
+    result[:3, :3] = left @ right
+    return result
 
 
 def _require_points(path: ScanPath, points: NDArray[np.int64]) -> NDArray[np.int64]:
