@@ -114,7 +114,7 @@ def follow(
     for bad, text in ((~world.arm.within_limits(q), LIMITS), (~dexterity.clear(q), SINGULAR)):
         hit = np.unique(move[bad])
         problems[hit[problems[hit] == ""]] = text
-    knots = np.split(q, np.searchsorted(move, np.arange(1, count)))
+    knots = np.split(q, np.searchsorted(move, np.arange(1, count)))[:count]
     _check_collisions(world, knots, problems)
     return [
         Move(knots[i] if not problems[i] else start.q[i : i + 1], str(problems[i]))
