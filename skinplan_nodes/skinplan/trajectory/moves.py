@@ -70,9 +70,12 @@ def improved(order: Indices, cost: Array, turns: Array) -> tuple[Tour, float]:
 
 
 def kicked(order: Indices, random: np.random.Generator) -> Indices:
-    """Returns an order with two neighbouring pieces swapped (a double bridge), ends kept."""
+    """Returns an order with two neighbouring pieces swapped (a double bridge), ends kept.
+
+    There are at least two nodes between the ends.
+    """
     inner = len(order) - 2
-    longest = max(2, min(inner // 3, 25))
+    longest = min(inner // 2, max(2, inner // 3), 25)
     first, second = random.integers(1, longest + 1, 2)
     begin = int(random.integers(1, inner - first - second + 2))
     middle, end = begin + first, begin + first + second
