@@ -248,7 +248,6 @@ def across_the_wrist():
         )
         # Forearm angles such that the view is level: it turns with the first axis only.
         q[3] = -np.pi - q[1] - q[2] if rng.random() < 0.5 else -q[1] - q[2]
-        q[5] = HOME[5]
         frame = EMPTY.arm.forward_scanner(q[None])
         yield q, frame
 
