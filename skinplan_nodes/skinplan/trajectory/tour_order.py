@@ -80,27 +80,27 @@ class _TourSearch:
         """Improves an order."""
         best = _Tour(order, np.inf)
         for _ in range(_TURNS):
-            states = self._states(best.views)
-            if states is None:
-                return best
-            nodes, cost = states
+            nodes, cost = self._states(best.views)
             if cost < best.cost - 1e-9:
                 best = _Tour(best.views, cost)
             views, spent = self._reordered(best.views, nodes, effort / _TURNS)
             effort -= spent
-            again = self._states(views)
-            if again is None or again[1] >= best.cost - 1e-6:
+            _, again = self._states(views)
+            if not again < best.cost - 1e-6:
                 break
-            best = _Tour(views, again[1])
+            best = _Tour(views, again)
         return best
 
-    def _states(self, views: Indices) -> tuple[Indices, float] | None:
-        """The best states for an order, and what it costs with them."""
+    def _states(self, views: Indices) -> tuple[Indices, float]:
+        """The best states for an order, and what it costs with them.
+
+        Where nothing leads through the order, any states, and infinity: another order may do.
+        """
         graph = self._graph
         layers = [graph.layer(view) for view in (START, *views.tolist(), HOME)]
         solved = Ladder(*graph.layer_costs(views.tolist())).solve()
         if not isinstance(solved, Solution):
-            return None
+            return np.array([int(layer[0]) for layer in layers[1:-1]]), np.inf
         nodes = [int(layer[s]) for layer, s in zip(layers, solved.states, strict=True)]
         return np.array(nodes[1:-1]), solved.cost_s
 
