@@ -126,6 +126,7 @@ class Search:
                 pair = int(layers[layer][a]), int(layers[layer + 1][b])
                 if not graph.knows_straight(pair):
                     asked.append((layer, a, b))
+        asked = list(dict.fromkeys(asked))  # the best way's edges are among the promising ones
         edges = [(int(layers[i][a]), int(layers[i + 1][b])) for i, a, b in asked]
         results = graph.check_straight(edges)
         for (layer, a, b), good in zip(asked, results, strict=True):
