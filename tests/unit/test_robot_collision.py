@@ -177,3 +177,40 @@ def test_coal_agrees_with_capsule_distances():
         request.security_margin = 0.02
         args = (coal_mesh(panel), coal.Transform3s(), sphere, place, request)
         assert bool(coal.collide(*args, coal.CollisionResult())) == expected
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_dense_path_is_the_given_one_in_steps_that_no_body_leaves(seed):
+    world = world_at(0.9)
+    q = HOME + np.cumsum(np.random.default_rng(seed).uniform(-0.3, 0.3, (7, 6)), axis=0)
+    dense, step = world.dense(q)
+    assert np.array_equal(dense[0], q[0]) and np.array_equal(dense[-1], q[-1])
+    assert step.shape == (len(dense),) and step[0] == 0 and step[-1] == len(q) - 2
+    assert np.all((np.diff(step) == 0) | (np.diff(step) == 1))
+    for number in range(len(q) - 1):
+        # Each step as `between` has it: both look at the same places.
+        mine = np.vstack([dense[step == number], q[number + 1]])
+        mine = mine[: len(mine) - (number == len(q) - 2)]
+        assert np.abs(mine - world.between(q[number], q[number + 1])).max() < 1e-12
+    # By means of its own: where the ends of all bodies are.
+    ends = world.bodies.segments(dense)
+    moved = np.linalg.norm(np.diff(ends, axis=0), axis=-1)
+    assert moved.max() <= world.step_m + 1e-9
+    assert len(dense) < 40 * len(q)
+
+
+def test_dense_paths_of_one_position_and_of_none_moving():
+    world = CollisionWorld(CELL, None)
+    dense, step = world.dense(HOME[None])
+    assert np.array_equal(dense, HOME[None]) and step.tolist() == [0]
+    dense, step = world.dense(np.stack([HOME, HOME]))
+    assert np.array_equal(dense, np.stack([HOME, HOME])) and step.tolist() == [0, 0]
+
+
+def test_dense_finds_a_wall_that_lies_between_two_free_positions():
+    world = world_at(0.8)
+    below, above = HOME.copy(), HOME.copy()
+    below[1], above[1] = -2.4, 0.6
+    blocked = not world.free_motion(below, above)
+    assert blocked == (not np.all(world.free(world.dense(np.stack([below, above]))[0])))
+    assert blocked
