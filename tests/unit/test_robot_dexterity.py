@@ -72,3 +72,75 @@ def test_an_arm_of_another_kind_lets_every_view_pass():
     test = WristFilter(arm_of("ur5"))
     test.applies = False
     assert np.all(test.grade(np.full((3, 3), 99.0), np.eye(3)) == SOME)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_eight_branches_of_a_pose_have_eight_numbers(robot):
+    arm = arm_of(robot)
+    found = Dexterity(arm)
+    branches, valid = arm.inverse(arm.forward(random_joints(300, 3)))
+    full = np.flatnonzero(valid.all(axis=1))
+    shoulders = np.array([found.shoulder(q) for q in branches[full]])
+    full = full[(np.abs(shoulders) > 1e-3).all(axis=1)]
+    assert len(full) > 30
+    for q in branches[full]:
+        assert sorted(found.branches(q)) == list(range(8))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_branches_do_not_depend_on_windings_nor_on_the_first_and_the_last_joint(robot):
+    found, q = Dexterity(arm_of(robot)), random_joints(200, 4)
+    rng = np.random.default_rng(5)
+    wound = q + 2.0 * np.pi * rng.integers(-1, 2, q.shape)
+    assert np.array_equal(found.branches(q), found.branches(wound))
+    turned = q + rng.uniform(-3, 3, q.shape) * [1, 0, 0, 0, 0, 1]
+    assert np.array_equal(found.branches(q), found.branches(turned))
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_between_two_branches_the_jacobian_changes_its_sign(robot):
+    """Its determinant is a product of shoulder, elbow and wrist: an odd change turns its sign."""
+    arm = arm_of(robot)
+    found, q = Dexterity(arm), random_joints(300, 6)
+    data, frame = arm.model.createData(), arm.model.getFrameId("tool0")
+    sign = np.array([
+        np.sign(np.linalg.det(pin.computeFrameJacobian(arm.model, data, row, frame, pin.LOCAL)))
+        for row in q
+    ])  # fmt: skip
+    number = found.branches(q)
+    odd = (number & 1) ^ (number >> 1 & 1) ^ (number >> 2 & 1)
+    same = sign == np.where(odd == 1, 1.0, -1.0)
+    assert same.all() or not same.any()
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+def test_the_jacobian_is_singular_where_the_wrist_is_above_the_first_axis(robot):
+    arm = arm_of(robot)
+    found, rng = Dexterity(arm), np.random.default_rng(7)
+    data, frame = arm.model.createData(), arm.model.getFrameId("tool0")
+    crossed = 0
+    for q in random_joints(60, 8):
+        other = q.copy()
+        other[1:4] += rng.uniform(-1.5, 1.5, 3)
+        ends = found.shoulder(np.stack([q, other]))
+        if ends[0] * ends[1] >= 0.0:
+            continue
+        low, high = q, other
+        for _ in range(60):  # bisection
+            middle = 0.5 * (low + high)
+            if found.shoulder(middle[None])[0] * ends[0] > 0.0:
+                low = middle
+            else:
+                high = middle
+        jacobian = pin.computeFrameJacobian(arm.model, data, low, frame, pin.LOCAL)
+        assert np.linalg.svd(jacobian, compute_uv=False)[-1] < 1e-9
+        crossed += 1
+    assert crossed >= 10
+
+
+def test_the_shoulder_of_a_ur5_by_hand():
+    """Upper arm, forearm and wrist, in the plane of the arm; links of 425, 392.25, 94.65 mm."""
+    q = random_joints(100, 9)
+    a, b, c = q[:, 1], q[:, 1] + q[:, 2], q[:, 1] + q[:, 2] + q[:, 3]
+    expected = -0.425 * np.cos(a) - 0.39225 * np.cos(b) + 0.09465 * np.sin(c)
+    assert np.abs(Dexterity(arm_of("ur5")).shoulder(q) - expected).max() < 1e-9
