@@ -21,7 +21,8 @@ from skinplan.part.defaults import default_placement
 from skinplan.part.model import ScanSettings
 from skinplan.part.samples import write_sample
 from skinplan.robot.arm import ArmModel
-from skinplan.robot.cell import CellConfig
+from skinplan.robot.cell import CellConfig, Obstacle
+from skinplan.robot.collision import CollisionWorld
 from skinplan.scan_path.model import FEATURE
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan.stations.plan import plan_stations
@@ -29,7 +30,8 @@ from skinplan.trajectory.cycle import cycle_time
 from skinplan.trajectory.model import SCAN as SCANNING
 from skinplan.trajectory.model import TRANSIT
 from skinplan.trajectory.plan import plan_station_trajectory, plan_trajectories
-from skinplan.transforms import inverse, planar
+from skinplan.transforms import apply, inverse, planar, transform
+from trajectory_checker import check_station
 
 CELL = CellConfig()
 SCAN = ScanSettings()
@@ -191,6 +193,93 @@ def test_an_obstacle_that_closes_the_way_leaves_points_out_but_no_motion_uncheck
     )
     with pytest.raises(NoTrajectoryError):
         plan(mesh=both)
+
+
+def station_of(cell, **more):
+    """A plan that knows where the arm stands in the shop, so the cell's obstacles are there."""
+    T_arm_base_map = inverse(STAND @ CELL.T_base_link_arm_base)
+    return plan(cell=cell, T_arm_base_map=T_arm_base_map, **more)
+
+
+def obstacle(name, low, high):
+    """A box in the shop between two corners."""
+    low, high = np.array(low, float), np.array(high, float)
+    return Obstacle(name, transform(0.5 * (low + high)), tuple(high - low))
+
+
+def in_shop(points):
+    """Where the scanner is to be in the shop, shape (n, 3) [m]."""
+    return apply(upright(0.6), PATH.positions[points])
+
+
+SPARSE = ALL[(ALL % 11 % 2 == 0) & (ALL // 11 % 2 == 0)]
+
+
+def test_an_obstacle_before_a_part_of_the_points_leaves_these_out_by_name():
+    """A crate where the scanner would have to be, for the points on the right."""
+    places = in_shop(SPARSE)
+    right = SPARSE[places[:, 0] > 0.25]
+    there = in_shop(right)
+    crate = obstacle("crate", there.min(axis=0) - 0.02, there.max(axis=0) + [0.3, 0.02, 0.02])
+    cell = dataclasses.replace(CELL, obstacles=(crate,))
+    found = station_of(cell, points=SPARSE)
+    skipped = {s.point: s.reason for s in found.skipped}
+    assert set(right) <= set(skipped) < set(SPARSE)
+    assert all("crate" in skipped[p] or "motion" in skipped[p] for p in right)
+    assert sorted([*scanned(found), *skipped]) == SPARSE.tolist()
+    assert len(scanned(found)) >= 0.5 * len(SPARSE)
+    T_arm_base_map = inverse(STAND @ CELL.T_base_link_arm_base)
+    world = CollisionWorld(cell, PANEL, T, T_arm_base_map)
+    for segment in found.segments:
+        assert np.all(world.free(world.dense(segment.positions)[0]))
+    assert check_station(found, PATH, T, PANEL, SCAN, cell, None, T_arm_base_map) == []
+    # Without its place the crate is not there: then all of them are scanned.
+    assert not plan(points=SPARSE, cell=cell).skipped
+
+
+def test_an_obstacle_around_everything_is_an_error_that_names_it():
+    there = in_shop(SPARSE)
+    crate = obstacle("crate", there.min(axis=0) - 0.05, there.max(axis=0) + 0.05)
+    cell = dataclasses.replace(CELL, obstacles=(crate,))
+    with pytest.raises(NoTrajectoryError, match="none of the 24 points can be scanned.*crate"):
+        station_of(cell, points=SPARSE)
+
+
+def test_a_home_or_a_start_in_an_obstacle_is_refused_by_name():
+    arm_map = inverse(STAND @ CELL.T_base_link_arm_base)
+    scanner = ArmModel.load(CELL).forward_scanner(np.array([CELL.home_rad]))[0, :3, 3]
+    place = apply(inverse(arm_map), scanner[None])[0]
+    cell = dataclasses.replace(CELL, obstacles=(obstacle("shelf", place - 0.05, place + 0.05),))
+    with pytest.raises(StartStateError, match="home position.*in collision.*shelf"):
+        station_of(cell, points=SPARSE)
+    away = np.array(CELL.home_rad) + [0.9, 0.0, 0.0, 0.0, 0.0, 0.0]
+    scanner = ArmModel.load(CELL).forward_scanner(away[None])[0, :3, 3]
+    place = apply(inverse(arm_map), scanner[None])[0]
+    cell = dataclasses.replace(CELL, obstacles=(obstacle("shelf", place - 0.05, place + 0.05),))
+    with pytest.raises(StartStateError, match="start position.*in collision.*shelf"):
+        station_of(cell, points=SPARSE, start=away)
+
+
+@pytest.mark.parametrize("joint", range(6))
+def test_a_start_out_of_any_joints_limits_is_refused(joint):
+    arm = ArmModel.load(CELL)
+    for limit, side in ((arm.lower, -1.0), (arm.upper, 1.0)):
+        start = np.array(CELL.home_rad)
+        start[joint] = limit[joint] + side * 0.01
+        with pytest.raises(StartStateError, match="start position.*out of the joint limits"):
+            plan(points=SPARSE, start=start)
+
+
+def test_a_tour_of_a_flat_panel_has_no_breaks_and_straight_views_only():
+    found = plan(settings=dataclasses.replace(SCAN, order_strategy="tour"))
+    assert found.breaks == 0 and not found.skipped
+    assert sorted(scanned(found)) == ALL.tolist()
+    segment = next(s for s in found.segments if s.kind == SCANNING)
+    q = np.stack([np.interp(segment.point_s, segment.times, c) for c in segment.positions.T], 1)
+    frames = inverse(T) @ ArmModel.load(CELL).forward_scanner(q)
+    lean = np.linalg.norm(frames[:, :3, 0] - PATH.directions[segment.points], axis=1)
+    # A tilted view would lean by half of the largest tilt at least.
+    assert lean.max() < 0.05 * SCAN.tilt_max_rad
 
 
 def test_bad_requests_are_refused():
