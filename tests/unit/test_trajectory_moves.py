@@ -5,7 +5,7 @@ from itertools import permutations
 import numpy as np
 import pytest
 
-from skinplan.trajectory.moves import improved, kicked, tour_costs
+from skinplan.trajectory.moves import _candidates, _moved, improved, kicked, tour_costs
 
 INNER = 7
 SEEDS = range(30)
@@ -92,6 +92,21 @@ def test_no_single_move_makes_it_any_better(seed):
         best = improved(np.array(order), cost, 0.0 * turns)[0]
         around = np.array(list(neighbours(best.order)))
         assert tour_costs(around, cost, 0.0 * turns).min() >= best.cost - 1e-8
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_the_gain_of_every_move_is_the_change_in_length_and_no_move_is_missing(seed):
+    cost, turns = instance(seed)
+    order = np.concatenate([[0], 1 + np.random.default_rng(seed).permutation(INNER), [INNER + 1]])
+    gains, moves = _candidates(order, cost)
+    moved = np.array([_moved(order, move) for move in moves])
+    before = tour_costs(order[None], cost, 0.0 * turns)
+    assert gains == pytest.approx(tour_costs(moved, cost, 0.0 * turns) - before, abs=1e-12)
+    for new in moved:
+        require_tour(new, INNER + 2)
+    unchanged = tuple(order.tolist())
+    expected = {tuple(new) for new in neighbours(order.tolist())} - {unchanged}
+    assert {tuple(new) for new in moved.tolist()} - {unchanged} == expected
 
 
 def test_it_is_the_best_of_all_orders_or_near_it():
