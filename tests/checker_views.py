@@ -6,7 +6,7 @@ to the part by Embree, at every place that is 4 mm or half a degree from the one
 hits, the depth is inside the scanner's range and the incidence below the limit, within 3 mm and one
 degree. A pass that goes straight over a steep wall hits it at an angle that no trajectory can
 help (other views are for that wall): between two points a trajectory may have what the straight
-way between them has, or one 2 mm beside it, plus the same tolerance.
+way between them has, or one 5 mm beside it, plus the same tolerance.
 """
 
 import numpy as np
@@ -19,7 +19,7 @@ TURN_RAD = np.radians(1.0)
 RAY_M = 0.004
 DENSER = 8
 RANGE_SPARE_M = 0.003
-BESIDE_M = 0.002  # as far as trajectories may be beside the straight way
+BESIDE_M = 0.005  # trajectories may be 2 mm beside the straight way, and turned by half a degree
 INCIDENCE_SPARE_RAD = np.radians(1.0)
 
 

@@ -87,7 +87,7 @@ class StationGraph:
         turns = np.floor((kept.q + np.pi) / (2.0 * np.pi)).astype(np.int64)
         kinds = np.unique(np.column_stack([self._branch[:-2], turns]), axis=0, return_inverse=True)
         self._family = np.append(kinds[1].reshape(-1), [-1, -2])
-        self._vain: dict[int, int] = {}  # how many stops of a family have no way home
+        self._vain: dict[int, set[int]] = {}  # the stops of a family that have no way home
         self._transits = TransitPlanner(
             problem.world,
             problem.dexterity,
@@ -258,8 +258,10 @@ class StationGraph:
             family = int(self._family[node])
             if family < 0 or self._transits.leads_home(self._stop(node)):
                 continue
-            self._vain[family] = self._vain.get(family, 0) + 1
-            if self._vain[family] == _VAIN:
+            vain = self._vain.setdefault(family, set())
+            known = len(vain)
+            vain.add(node)
+            if known < len(vain) == _VAIN:
                 self._may_stop[self._family == family] = False
                 closed = True
         if closed:

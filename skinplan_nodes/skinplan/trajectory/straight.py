@@ -167,8 +167,9 @@ def _bisected(
         passed = _passes(world, middle, positions, directions)
         width = np.diff(pieces.share, axis=1)[:, 0]
         passed &= np.all(width * size[:, move] <= 2.0 * np.array([[STEP_M], [STEP_RAD]]), axis=0)
-        # So much joint motion on so short a piece: its ends are of two branches.
+        # So much joint motion on so short a piece: its ends are of two branches or windings.
         jump = np.abs(np.diff(pieces.q, axis=1)[:, 0]).max(axis=1) > JUMP_RAD
+        passed &= ~jump
         short = np.all(width * size[:, move] <= np.array([[STEP_M], [STEP_RAD]]), axis=0)
         good[move[~passed & ((width <= _LEAST_SHARE) | (jump & short))]] = False
         left = np.flatnonzero(~passed & good[move])

@@ -15,10 +15,11 @@ from skinplan.trajectory.sampling import line_use
 from skinplan.transforms import Array
 
 SAMPLE_S = 0.04  # samples are never farther apart ...
-SAMPLE_M = 0.0005  # ... and lines between them keep the scanner so near to the motion
+SAMPLE_M = 0.00045  # ... and the middles of lines between them are so near to the motion
 SPLINE_M = (
     0.0015  # a path's spline keeps the scanner so near to the straight ways between positions
 )
+SPLINE_RAD = 0.0087  # ... and its view axis, half a degree
 _GRADE_ROUNDS = 8  # of adding positions where it does not
 _CHECKED = (0.25, 0.5, 0.75)  # shares of a step at which that is looked at
 _DENSER_ROUNDS = 6
@@ -132,12 +133,14 @@ def _graded(arm: ArmModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
     for _ in range(_GRADE_ROUNDS):
         knots = np.concatenate([[0.0], np.cumsum(_step_lengths(arm, q))])
         spline = toppra.SplineInterpolator(knots, q, bc_type="natural")
-        ends = arm.forward_scanner(q)[:, :3, 3]
-        off = np.zeros(len(q) - 1)
+        ends = arm.forward_scanner(q)
+        off = np.zeros(len(q) - 1)  # in shares of what is allowed
         for share in _CHECKED:
-            there = arm.forward_scanner(spline(knots[:-1] + share * np.diff(knots)))[:, :3, 3]
-            np.maximum(off, _distances(there, ends[:-1], ends[1:]), out=off)
-        wide = np.flatnonzero(off > SPLINE_M)
+            there = arm.forward_scanner(spline(knots[:-1] + share * np.diff(knots)))
+            gap = _distances(there[:, :3, 3], ends[:-1, :3, 3], ends[1:, :3, 3])
+            turn = _distances(there[:, :3, 0], ends[:-1, :3, 0], ends[1:, :3, 0])
+            np.maximum(off, np.maximum(gap / SPLINE_M, turn / SPLINE_RAD), out=off)
+        wide = np.flatnonzero(off > 1.0)
         if not len(wide):
             break
         # The swing comes from the corners at the ends of a step: both neighbours get shorter, too.
@@ -149,7 +152,7 @@ def _graded(arm: ArmModel, q: Array) -> tuple[Array, NDArray[np.int64]]:
 
 
 def _distances(points: Array, start: Array, end: Array) -> Array:
-    """Distances of points from the lines between two others, shape (n,) [m]."""
+    """Distances of points from the lines between two others, shape (n,)."""
     way = end - start
     length = np.maximum(np.einsum("ni,ni->n", way, way), 1e-18)
     share = np.clip(np.einsum("ni,ni->n", points - start, way) / length, 0.0, 1.0)
