@@ -244,7 +244,7 @@ def across_the_wrist():
     rng = np.random.default_rng(5)
     for _ in range(3000):
         q = np.array(
-            [rng.uniform(-1, 1), rng.uniform(-2, 0), rng.uniform(0.5, 2.5), 0.0, 0.25, 0.0]
+            [rng.uniform(-1, 1), rng.uniform(-2, 0), rng.uniform(0.5, 2.5), 0.0, 0.25, HOME[5]]
         )
         # Forearm angles such that the view is level: it turns with the first axis only.
         q[3] = -np.pi - q[1] - q[2] if rng.random() < 0.5 else -q[1] - q[2]
