@@ -19,7 +19,8 @@ from skinplan.errors import LocalizationError
 from skinplan.localization.approach import next_goal
 from skinplan.localization.camera import camera_model
 from skinplan.localization.model import WorkpiecePose
-from skinplan.localization.pose import locate, observe
+from skinplan.localization.observe import observe
+from skinplan.localization.pose import locate
 from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.mock.camera import MockCamera
 from skinplan.part.defaults import default_fixture, default_placement

@@ -3,7 +3,8 @@
 import numpy as np
 
 from skinplan.localization.camera import camera_model, in_view, project
-from skinplan.localization.pose import observations
+from skinplan.localization.model import Sighting
+from skinplan.localization.observe import exact_detection, observations
 from skinplan.localization.solve import square_corners
 from skinplan.part.model import Fixture, Marker
 from skinplan.robot.cell import CellConfig
@@ -50,11 +51,12 @@ def true_corners(T_camera_workpiece, fixture):
 
 
 def observed(T_camera_workpiece, fixture, random=None, noise_px=0.0, only=None):
-    """Observations from projected corners with noise, without an image."""
+    """What is seen by projected corners with noise, which the solver knows, without an image."""
     ids, corners = true_corners(T_camera_workpiece, fixture)
     if only is not None:
         keep = np.isin(ids, only)
         ids, corners = ids[keep], corners[keep]
     if random is not None:
         corners = corners + random.normal(0.0, noise_px, corners.shape)
-    return observations(ids, corners, CAMERA, fixture, CELL.quality)
+    found = exact_detection(ids, corners, noise_px or 0.02)
+    return Sighting(observations(found, CAMERA, fixture, CELL.quality))

@@ -136,8 +136,48 @@ class WrongMarkerError(LocalizationError):
     """There are markers, but none of the fixture's."""
 
 
+class FixtureMismatchError(WrongMarkerError):
+    """The fixture's markers are seen, but not where its description says."""
+
+
 class AmbiguousPoseError(LocalizationError):
     """Two poses explain the image about equally well."""
+
+
+class NoImageError(LocalizationError):
+    """No image or no camera model came in time."""
+
+
+class StaleImageError(LocalizationError):
+    """The camera's images are old, or it repeats one."""
+
+
+class QualityNotReachedError(LocalizationError):
+    """The view is not good enough after all attempts."""
+
+
+class SafeDistanceError(LocalizationError):
+    """The view is not good enough, and the camera may come no nearer."""
+
+
+class BaseRefusedError(LocalizationError):
+    """The base did not take a goal."""
+
+
+class BaseBlockedError(LocalizationError):
+    """The base did not arrive where it was sent."""
+
+
+class PartMovedError(LocalizationError):
+    """The part is not where it was."""
+
+
+class FrameMissingError(LocalizationError):
+    """A transform between two frames is not known."""
+
+
+class LocalizationCancelledError(LocalizationError):
+    """The caller asked to stop the localisation."""
 
 
 class NoCandidatesError(SkinplanError):

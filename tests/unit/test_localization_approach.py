@@ -75,7 +75,7 @@ def test_high_markers_keep_the_camera_away():
     goal = next_goal(start, located(start, high), high, CAMERA, CELL)
     assert goal.distance_m > 1.4
     seen = observed(camera_pose(goal.T_map_base_link), high)
-    assert len(seen) >= 2
+    assert len(seen.markers) >= 2
 
 
 def test_markers_that_lie_flat_are_refused():
@@ -94,7 +94,7 @@ def random_start(seed):
     while True:
         low, high = [-1.0, 0.9, -np.pi / 3, -0.2], [1.0, 3.0, np.pi / 3, 0.2]
         base = MockBase(BaseConfig(), CELL, seed, base_facing(*random.uniform(low, high)))
-        if len(observed(camera_pose(base.true), FIXTURE)) >= 2:
+        if len(observed(camera_pose(base.true), FIXTURE).markers) >= 2:
             return base, random
 
 

@@ -33,7 +33,8 @@ def real():
 @pytest.mark.parametrize("view", VIEWS)
 def test_corners_without_noise_are_within_a_twentieth_pixel(clean, view):
     T_camera_workpiece = camera_pose(base_facing(*view))
-    ids, corners = detect_markers(clean.render(T_camera_workpiece), FIXTURE.dictionary, CAMERA)
+    found = detect_markers(clean.render(T_camera_workpiece), FIXTURE.dictionary, CAMERA)
+    ids, corners = found.ids, found.corners
     true_ids, expected = true_corners(T_camera_workpiece, FIXTURE)
     assert ids.tolist() == true_ids.tolist()
     clear = narrowest(expected) > CLEAR_SIDE_PX
@@ -44,7 +45,8 @@ def test_corners_without_noise_are_within_a_twentieth_pixel(clean, view):
 @pytest.mark.parametrize("view", VIEWS)
 def test_corners_with_blur_and_noise_are_within_a_tenth_pixel(real, view):
     T_camera_workpiece = camera_pose(base_facing(*view))
-    ids, corners = detect_markers(real.render(T_camera_workpiece), FIXTURE.dictionary, CAMERA)
+    found = detect_markers(real.render(T_camera_workpiece), FIXTURE.dictionary, CAMERA)
+    ids, corners = found.ids, found.corners
     true_ids, expected = true_corners(T_camera_workpiece, FIXTURE)
     # A marker at the very rim of the image may be missed.
     both = np.isin(true_ids, ids) & (narrowest(expected) > CLEAR_SIDE_PX)
@@ -57,8 +59,8 @@ def test_without_the_camera_the_bend_of_the_edges_stays(clean):
     T_camera_workpiece = camera_pose(base_facing(0.2, 0.8, 0.0))
     image = clean.render(T_camera_workpiece)
     _, expected = true_corners(T_camera_workpiece, FIXTURE)
-    straight = detect_markers(image, FIXTURE.dictionary, CAMERA)[1]
-    bent = detect_markers(image, FIXTURE.dictionary)[1]
+    straight = detect_markers(image, FIXTURE.dictionary, CAMERA).corners
+    bent = detect_markers(image, FIXTURE.dictionary).corners
     assert np.abs(straight - expected).max() < np.abs(bent - expected).max() < 0.5
 
 
@@ -66,15 +68,16 @@ def test_colour_gives_what_grey_gives(real):
     image = real.render(camera_pose(base_facing(0.0, 1.0, 0.0)))
     grey = detect_markers(image, FIXTURE.dictionary)
     colour = detect_markers(cv2.cvtColor(image, cv2.COLOR_GRAY2BGR), FIXTURE.dictionary)
-    assert grey[0].tolist() == colour[0].tolist()
-    np.testing.assert_allclose(grey[1], colour[1], atol=0.02)
+    assert grey.ids.tolist() == colour.ids.tolist()
+    np.testing.assert_allclose(grey.corners, colour.corners, atol=0.02)
 
 
 def test_empty_wall_has_no_markers(real):
     away = camera_pose(base_facing(0.0, 1.0, np.pi))
-    ids, corners = detect_markers(real.render(away), FIXTURE.dictionary)
-    assert ids.shape == (0,)
-    assert corners.shape == (0, 4, 2)
+    found = detect_markers(real.render(away), FIXTURE.dictionary)
+    assert found.ids.shape == (0,)
+    assert found.corners.shape == (0, 4, 2)
+    assert found.covariance.shape == (0, 8, 8)
 
 
 def test_an_id_at_two_places_is_left_out_and_the_others_stay():
@@ -83,17 +86,21 @@ def test_an_id_at_two_places_is_left_out_and_the_others_stay():
     for place, marker_id in enumerate((7, 8, 7)):
         left = 50 + 300 * place
         plate[80:220, left : left + 140] = cv2.aruco.generateImageMarker(book, marker_id, 140)
-    ids, corners = detect_markers(plate, "DICT_5X5_100")
-    assert ids.tolist() == [8]
+    found = detect_markers(plate, "DICT_5X5_100")
+    assert found.ids.tolist() == [8]
+    assert found.duplicates == (7,)
     expected = np.array([[350, 80], [490, 80], [490, 220], [350, 220]]) - 0.5
-    np.testing.assert_allclose(corners[0], expected, atol=0.05)
+    np.testing.assert_allclose(found.corners[0], expected, atol=0.05)
 
 
 def test_mirrored_print_is_no_marker():
     book = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_5X5_100)
     plate = np.pad(cv2.aruco.generateImageMarker(book, 7, 140), 60, constant_values=255)
-    assert detect_markers(plate, "DICT_5X5_100")[0].tolist() == [7]
-    assert 7 not in detect_markers(np.ascontiguousarray(plate[:, ::-1]), "DICT_5X5_100")[0]
+    straight = detect_markers(plate, "DICT_5X5_100")
+    assert (straight.ids.tolist(), straight.mirrored) == ([7], ())
+    mirrored = detect_markers(np.ascontiguousarray(plate[:, ::-1]), "DICT_5X5_100")
+    assert 7 not in mirrored.ids
+    assert mirrored.mirrored == (7,)
 
 
 @pytest.mark.parametrize(
@@ -120,5 +127,5 @@ def test_photographs(shared_data):
     cases = {"403.jpg": [403], "tag_01_d7_14cm.png": [1], "tag_245-246_d7_14cm.png": [245, 246]}
     for name, expected in cases.items():
         image = cv2.imread(str(shared_data / "images" / "fiducials" / name))
-        found = detect_markers(image, "DICT_5X5_1000")[0].tolist()
+        found = detect_markers(image, "DICT_5X5_1000").ids.tolist()
         assert found == expected, name

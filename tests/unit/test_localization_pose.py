@@ -22,15 +22,21 @@ from skinplan.errors import (
     NoMarkerError,
     WrongMarkerError,
 )
-from skinplan.localization.model import CameraModel
-from skinplan.localization.pose import locate, observations, observe
-from skinplan.localization.solve import CORNER_NOISE_PX
+from skinplan.localization.model import CameraModel, Sighting
+from skinplan.localization.observe import exact_detection, observations, observe
+from skinplan.localization.pose import locate
 from skinplan.mock.camera import MockCamera
 from skinplan.part.model import Fixture, Marker
 from skinplan.transforms import difference, transform
 
 FIXTURE = row_fixture()
 QUALITY = CELL.quality
+CORNER_NOISE_PX = 0.02
+
+
+def _seen(ids, corners):
+    found = exact_detection(ids, corners, CORNER_NOISE_PX)
+    return Sighting(observations(found, CAMERA, FIXTURE, QUALITY))
 
 
 @pytest.mark.parametrize("view", [(0.0, 1.0, 0.0), (0.5, 2.2, 0.35), (-0.3, 1.4, -1.0)])
@@ -114,7 +120,7 @@ def test_single_marker_far_away_is_refused_as_ambiguous():
     refused = 0
     for _ in range(20):
         seen = observed(truth, FIXTURE, random, 0.5, only=[14])
-        assert len(seen) == 1
+        assert len(seen.markers) == 1
         try:
             pose = locate(seen, CAMERA, FIXTURE, QUALITY)
         except AmbiguousPoseError as error:
@@ -130,29 +136,31 @@ def test_the_bound_of_ambiguity_is_a_parameter():
     seen = observed(
         camera_pose(base_facing(0.2, 2.8, 0.25)), FIXTURE, np.random.default_rng(4), 0.3, only=[14]
     )
-    assert 0.0 < seen[0].ambiguity_ratio < 1.0
-    locate(seen, CAMERA, FIXTURE, QUALITY, ambiguity_max=seen[0].ambiguity_ratio * 1.01)
+    assert 0.0 < seen.markers[0].ambiguity_ratio < 1.0
+    locate(seen, CAMERA, FIXTURE, QUALITY, ambiguity_max=seen.markers[0].ambiguity_ratio * 1.01)
     with pytest.raises(AmbiguousPoseError):
-        locate(seen, CAMERA, FIXTURE, QUALITY, ambiguity_max=seen[0].ambiguity_ratio * 0.99)
+        locate(seen, CAMERA, FIXTURE, QUALITY, ambiguity_max=seen.markers[0].ambiguity_ratio * 0.99)
 
 
 def test_oblique_single_marker_near_is_no_guess():
     truth = camera_pose(base_facing(0.2, 1.0, 0.5))
     seen = observed(truth, FIXTURE, np.random.default_rng(1), 0.02, only=[14])
-    assert seen[0].ambiguity_ratio < 0.2
+    assert seen.markers[0].ambiguity_ratio < 0.2
     assert difference(truth, locate(seen, CAMERA, FIXTURE, QUALITY).T_camera_workpiece)[0] < 0.02
 
 
 def test_nothing_seen_is_no_marker():
     with pytest.raises(NoMarkerError, match="DICT_5X5_100"):
-        locate((), CAMERA, FIXTURE, QUALITY)
+        locate(Sighting(()), CAMERA, FIXTURE, QUALITY)
 
 
 def test_markers_of_another_fixture_are_wrong_ones():
     other = row_fixture(first_id=40)
     image = MockCamera(CELL.camera, other, seed=1).render(camera_pose(base_facing(0, 1.0, 0)))
+    seen = observe(image, CAMERA, FIXTURE, QUALITY)
+    assert not seen.markers
     with pytest.raises(WrongMarkerError, match="4[0-9]"):
-        observe(image, CAMERA, FIXTURE, QUALITY)
+        locate(seen, CAMERA, FIXTURE, QUALITY)
     foreign = observe(image, CAMERA, other, QUALITY)
     with pytest.raises(WrongMarkerError, match="accepted"):
         locate(foreign, CAMERA, FIXTURE, QUALITY)
@@ -160,7 +168,7 @@ def test_markers_of_another_fixture_are_wrong_ones():
 
 def test_markers_that_are_not_where_the_fixture_says_are_refused():
     ids, corners = true_corners(camera_pose(base_facing(0.0, 1.0, 0.0)), FIXTURE)
-    swapped = observations(ids[::-1], corners, CAMERA, FIXTURE, QUALITY)
+    swapped = _seen(ids[::-1], corners)
     with pytest.raises(LocalizationError, match="px"):
         locate(swapped, CAMERA, FIXTURE, QUALITY)
 
@@ -168,7 +176,7 @@ def test_markers_that_are_not_where_the_fixture_says_are_refused():
 def test_degenerate_corners_give_no_traceback():
     ids = np.array([10, 11])
     corners = np.stack([np.full((4, 2), 300.0), np.linspace(0, 90, 8).reshape(4, 2)])
-    seen = observations(ids, corners, CAMERA, FIXTURE, QUALITY)
+    seen = _seen(ids, corners)
     with pytest.raises(LocalizationError):
         locate(seen, CAMERA, FIXTURE, QUALITY)
 

@@ -9,7 +9,6 @@ from skinplan.localization.model import CameraModel
 from skinplan.robot.cell import CameraConfig
 from skinplan.transforms import Array
 
-_ZERO = np.zeros(3)
 _SAME_RAY = 1e-4
 # Counts of coefficients that OpenCV's model takes: plumb_bob has 4 or 5, rational_polynomial 8.
 _COEFFICIENTS = (0, 4, 5, 8)
@@ -50,24 +49,77 @@ def require_camera(camera: CameraModel) -> CameraModel:
 
 
 def project(points: Array, camera: CameraModel) -> Array:
-    """Projects points in the optical frame, shape (n, 3) [m], to the image, shape (n, 2) [px]."""
-    pixels, _ = cv2.projectPoints(points, _ZERO, _ZERO, camera.K, camera.D)
-    return np.asarray(pixels.reshape(-1, 2), dtype=float)
+    """Projects points in the optical frame to the image.
+
+    Args:
+        points: In front of the camera, shape (..., 3) [m].
+        camera: The camera.
+
+    Returns:
+        shape (..., 2) [px].
+    """
+    rays = points[..., :2] / points[..., 2:]
+    bent, _ = _bent(rays, _coefficients(camera), with_derivative=False)
+    return np.asarray(bent @ camera.K[:2, :2].T + camera.K[:2, 2])
 
 
 def project_with_derivative(points: Array, camera: CameraModel) -> tuple[Array, Array]:
     """Projects points in the optical frame.
 
     Args:
-        points: shape (n, 3) [m].
+        points: In front of the camera, shape (..., 3) [m].
         camera: The camera.
 
     Returns:
-        Pixels, shape (n, 2), and their derivative by the point, shape (n, 2, 3) [px/m].
+        Pixels, shape (..., 2), and their derivative by the point, shape (..., 2, 3) [px/m].
     """
-    pixels, derivative = cv2.projectPoints(points, _ZERO, _ZERO, camera.K, camera.D)
-    by_point = derivative[:, 3:6].reshape(-1, 2, 3)
-    return np.asarray(pixels.reshape(-1, 2), dtype=float), np.asarray(by_point, dtype=float)
+    depth = points[..., 2:]
+    rays = points[..., :2] / depth
+    bent, by_ray = _bent(rays, _coefficients(camera), with_derivative=True)
+    ray_by_point = np.zeros((*rays.shape, 3))
+    ray_by_point[..., 0, 0] = ray_by_point[..., 1, 1] = 1.0 / depth[..., 0]
+    ray_by_point[..., 2] = -rays / depth
+    turned = camera.K[:2, :2]
+    pixels = bent @ turned.T + camera.K[:2, 2]
+    return np.asarray(pixels), np.asarray(turned @ by_ray @ ray_by_point)
+
+
+def _coefficients(camera: CameraModel) -> Array:
+    """Returns k1 k2 p1 p2 k3 k4 k5 k6, shape (8,)."""
+    full = np.zeros(8)
+    full[: len(camera.D)] = camera.D
+    return full
+
+
+def _bent(rays: Array, D: Array, *, with_derivative: bool) -> tuple[Array, Array]:
+    """Applies the distortion to rays on the plane z = 1; OpenCV's model.
+
+    Returns:
+        shape (..., 2), and the derivative by the ray, shape (..., 2, 2); empty without.
+    """
+    k1, k2, p1, p2, k3, k4, k5, k6 = D
+    x, y = rays[..., 0], rays[..., 1]
+    r2 = x * x + y * y
+    top = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
+    below = 1.0 + r2 * (k4 + r2 * (k5 + r2 * k6))
+    radial = top / below
+    bent = np.stack(
+        [
+            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
+            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
+        ],
+        axis=-1,
+    )
+    if not with_derivative:
+        return bent, np.zeros(0)
+    slope = k1 + r2 * (2.0 * k2 + r2 * 3.0 * k3) - radial * (k4 + r2 * (2.0 * k5 + r2 * 3.0 * k6))
+    slope = 2.0 * slope / below
+    mixed = x * y * slope + 2.0 * (p1 * x + p2 * y)
+    by_ray = np.empty((*rays.shape, 2))
+    by_ray[..., 0, 0] = radial + x * x * slope + 2.0 * p1 * y + 6.0 * p2 * x
+    by_ray[..., 1, 1] = radial + y * y * slope + 6.0 * p1 * y + 2.0 * p2 * x
+    by_ray[..., 0, 1] = by_ray[..., 1, 0] = mixed
+    return bent, by_ray
 
 
 def undistorted(pixels: Array, camera: CameraModel) -> Array:

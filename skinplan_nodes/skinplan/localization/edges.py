@@ -2,8 +2,11 @@
 
 A corner finder that looks at the corner alone is drawn inwards by blur, and so makes the marker
 look farther away (0.15 px at 1 m on rendered images, where this module is within 0.02 px). A
-straight edge keeps its place under blur, and many places along it average the noise.
+straight edge keeps its place under blur, and many places along it average the noise. How far the
+places scatter about the line says how well the line, and so each corner, is known.
 """
+
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -16,7 +19,7 @@ from skinplan.transforms import Array
 # Places along every edge, as share of its length: away from the corners, where blur mixes edges.
 _ALONG = np.linspace(0.1, 0.9, 33)
 # Half length of the profile across the edge: half a cell of the marker, within these bounds.
-_ACROSS_SHARE = 0.07
+_ACROSS_CELLS = 0.5
 _ACROSS_PX = (1.5, 4.0)
 # Places on a profile, and how many at either end give the level of black and of white.
 _TICKS = np.linspace(-1.0, 1.0, 33)
@@ -24,60 +27,106 @@ _LEVEL_TICKS = 3
 # Least difference between black and white [grey levels].
 _LEAST_STEP = 25.0
 _LEAST_POINTS = 8
+# Edge points farther from the line are outliers: so many times the median distance.
+_OUTLIER = 4.5
 _LEAST_BOUND_PX = 0.05
 # A refined corner farther away than this from the detector's is no improvement but a mistake.
 _TRUST_PX = 2.5
-_ROUNDS = 2
+_ROUNDS = 3
+# How well the corners of a marker are known whose edges can't be fitted [px].
+_UNFITTED_PX = 0.3
+# Places along an edge with independent noise.
+_INDEPENDENT_PER_PX = 0.6
+# What remains of the corners' error however many images are taken: the pixels' own size, the
+# texture of the print; and, where the blur is as wide as a cell, what the next cells mix in.
+CORNER_FLOOR_PX = 0.009
+_MIXED_PX = 0.55
 _MAP_WIDTH = 1024
 
 
+@dataclass(frozen=True, eq=False)
+class RefinedCorners:
+    """Corners of markers along their edges.
+
+    Attributes:
+        corners: shape (m, 4, 2) [px]; those of a marker whose edges can't be fitted stay.
+        covariance: Random part of their error, shape (m, 8, 8) [px^2].
+        floor_px: Part of it that does not get less with more images, shape (m,) [px].
+        fitted: Which could be fitted, shape (m,).
+    """
+
+    corners: Array
+    covariance: Array
+    floor_px: Array
+    fitted: NDArray[np.bool_]
+
+
 def refine_corners(
-    grey: NDArray[np.uint8], corners: Array, camera: CameraModel | None = None
-) -> Array:
+    grey: NDArray[np.uint8], corners: Array, cells: int, camera: CameraModel | None = None
+) -> RefinedCorners:
     """Refines the corners of markers.
 
     Args:
         grey: shape (h, w).
-        corners: To about a pixel, shape (m, 4, 2) [px].
+        corners: To about two pixels, shape (m, 4, 2) [px].
+        cells: Cells along the side of a marker, its border included.
         camera: Its distortion bends the edges; None = they are taken as straight in the image.
-
-    Returns:
-        Refined corners, shape (m, 4, 2) [px]; those of a marker whose edges can't be fitted stay.
     """
-    if len(corners) == 0:
-        return corners
-    refined = corners
-    for _ in range(_ROUNDS):
-        points, good = _edge_points(grey, refined)
-        crossing, fitted = _crossings(points, good, camera)
+    count = len(corners)
+    refined = np.array(corners, dtype=float).reshape(count, 4, 2)
+    covariance = np.tile(np.eye(8) * _UNFITTED_PX**2, (count, 1, 1))
+    floor, usable = np.full(count, _UNFITTED_PX), np.zeros(count, dtype=bool)
+    for _ in range(_ROUNDS if count else 0):
+        points, good, tail = _edge_points(grey, refined, cells)
+        crossing, spread, fitted = _crossings(points, good, camera)
         moved = np.linalg.norm(crossing - corners, axis=2).max(axis=1)
         usable = fitted & (moved < _TRUST_PX)
         refined = np.where(usable[:, None, None], crossing, refined)
-    return refined
+        covariance = np.where(usable[:, None, None], spread, covariance)
+        floor = np.where(usable, np.hypot(CORNER_FLOOR_PX, _MIXED_PX * tail), floor)
+    return RefinedCorners(refined, covariance, floor, usable)
 
 
-def _edge_points(grey: NDArray[np.uint8], corners: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _edge_points(
+    grey: NDArray[np.uint8], corners: Array, cells: int
+) -> tuple[Array, NDArray[np.bool_], Array]:
     """Finds the edge's place on profiles across it.
 
     The area under the profile gives it: exact for any symmetric blur and any place of the edge
     between the pixels.
 
     Returns:
-        Points, shape (m, 4, a, 2) [px], and which are good, shape (m, 4, a).
+        Points, shape (m, 4, a, 2) [px], which are good, shape (m, 4, a), and the share of the blur
+        that reaches beyond the profile, shape (m,).
     """
     along = np.roll(corners, -1, axis=1) - corners
     length = np.linalg.norm(along, axis=2, keepdims=True)
     across = np.stack([along[..., 1], -along[..., 0]], axis=-1) / np.maximum(length, 1e-9)
-    reach = np.clip(_ACROSS_SHARE * length.min(axis=1, keepdims=True), *_ACROSS_PX)
+    reach = np.clip(_ACROSS_CELLS / cells * length.min(axis=1, keepdims=True), *_ACROSS_PX)
     base = corners[:, :, None] + along[:, :, None] * _ALONG[:, None]
     offset = (reach[..., None] * _TICKS)[..., None]
     values = _looked_up(grey, base[..., None, :] + across[:, :, None, None] * offset)
     inner = values[..., :_LEVEL_TICKS].mean(axis=-1)
     outer = values[..., -_LEVEL_TICKS:].mean(axis=-1)
-    share = (outer - values.mean(axis=-1)) / np.maximum(outer - inner, 1.0)
+    step = outer - inner
+    share = (outer - values.mean(axis=-1)) / np.maximum(step, 1.0)
     shift = (2.0 * share - 1.0) * reach
-    good = (outer - inner > _LEAST_STEP) & (np.abs(shift) < reach)
-    return base + across[:, :, None] * shift[..., None], good
+    good = (step > _LEAST_STEP) & (np.abs(shift) < reach)
+    points = base + across[:, :, None] * shift[..., None]
+    return points, good, _tail(values, step, good, reach[:, 0, 0])
+
+
+def _tail(values: Array, step: Array, good: NDArray[np.bool_], reach: Array) -> Array:
+    """Returns how much of the blur reaches beyond the profiles of each marker, shape (m,).
+
+    The steepest place of a step blurred by a Gaussian tells its width.
+    """
+    weight = good / np.maximum(step, 1.0)
+    count = np.maximum(good.sum(axis=(1, 2)), 1)
+    mean = np.einsum("mea,meat->mt", weight, values) / count[:, None]
+    per_px = np.diff(mean, axis=1).max(axis=1) / (reach * (_TICKS[1] - _TICKS[0]))
+    width = 1.0 / (np.sqrt(2.0 * np.pi) * np.maximum(per_px, 1e-3))
+    return np.asarray(np.exp(-0.5 * (reach / width) ** 2))
 
 
 def _looked_up(grey: NDArray[np.uint8], places: Array) -> Array:
@@ -95,32 +144,67 @@ def _looked_up(grey: NDArray[np.uint8], places: Array) -> Array:
 
 def _crossings(
     points: Array, good: NDArray[np.bool_], camera: CameraModel | None
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Intersects the lines through the edge points, without the bend of the distortion.
 
     Returns:
-        Corners, shape (m, 4, 2) [px], and which markers could be fitted, shape (m,).
+        Corners, shape (m, 4, 2) [px], their covariance, shape (m, 8, 8) [px^2], and which markers
+        could be fitted, shape (m,).
     """
     if camera is None:
-        lines, enough = _lines(points, good)
-        corners = _intersections(lines)
+        straight = points
     else:
         focal = camera.K[0, 0]
-        straight = undistorted(points.reshape(-1, 2), camera).reshape(points.shape)
-        lines, enough = _lines(straight * focal, good)
-        rays = _intersections(lines).reshape(-1, 2) / focal
-        enough &= np.isfinite(rays).all(axis=1).reshape(enough.shape)
-        rays = np.nan_to_num(rays)
-        corners = project(np.column_stack([rays, np.ones(len(rays))]), camera).reshape(-1, 4, 2)
-    fitted = np.all(enough, axis=1) & np.all(np.isfinite(corners), axis=(1, 2))
-    return corners, np.asarray(fitted, dtype=bool)
+        straight = undistorted(points.reshape(-1, 2), camera).reshape(points.shape) * focal
+    lines, scatter, enough = _lines(straight, good)
+    corners = _intersections(lines)
+    enough = enough.all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+    corners = np.nan_to_num(corners)
+    covariance = _corner_covariance(corners, lines, scatter, good)
+    if camera is not None:
+        rays = corners / focal
+        corners = project(np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2), camera)
+        enough &= np.isfinite(corners).all(axis=(1, 2))
+    enough &= np.isfinite(covariance).all(axis=(1, 2))
+    return corners, covariance, np.asarray(enough, dtype=bool)
 
 
-def _lines(points: Array, good: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
+def _corner_covariance(
+    corners: Array, lines: Array, scatter: Array, good: NDArray[np.bool_]
+) -> Array:
+    """Carries the scatter of the edge points over the two lines of each corner to the corners.
+
+    A line through n points spread evenly over a span has independent errors of its offset and of
+    its slope; places nearer to each other than about a pixel share their noise and count once.
+
+    Returns:
+        shape (m, 8, 8) [px^2].
+    """
+    length = np.linalg.norm(np.roll(corners, -1, axis=1) - corners, axis=2)
+    span = (_ALONG[-1] - _ALONG[0]) * length
+    count = np.clip(span * _INDEPENDENT_PER_PX, 2.0, np.maximum(good.sum(axis=2), 2.0))
+    offset = scatter[:, None] / np.sqrt(count)
+    at_end = offset * np.sqrt(12.0) * 0.5 / (_ALONG[-1] - _ALONG[0])
+    normal, before = lines[..., :2], np.roll(lines[..., :2], 1, axis=1)
+    solve = np.linalg.pinv(np.stack([before, normal], axis=2))
+    # Corner i lies at the start of edge i and at the end of the edge before it.
+    derivative = np.zeros((len(corners), 4, 2, 4, 2))
+    for i in range(4):
+        last = (i - 1) % 4
+        derivative[:, i, :, last, 0] = solve[:, i, :, 0] * offset[:, last, None]
+        derivative[:, i, :, last, 1] = solve[:, i, :, 0] * at_end[:, last, None]
+        derivative[:, i, :, i, 0] = solve[:, i, :, 1] * offset[:, i, None]
+        derivative[:, i, :, i, 1] = -solve[:, i, :, 1] * at_end[:, i, None]
+    root = derivative.reshape(-1, 8, 8)
+    return np.asarray(root @ root.swapaxes(1, 2))
+
+
+def _lines(points: Array, good: NDArray[np.bool_]) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Fits lines n . p = c by total least squares, twice: without the outliers of the first fit.
 
     Returns:
-        (n_x, n_y, c), shape (m, 4, 3), and whether there were enough points, shape (m, 4).
+        (n_x, n_y, c), shape (m, 4, 3), the scatter about the lines of each marker, shape (m,) [px],
+        and whether there were enough points, shape (m, 4).
     """
     weights = good.astype(float)
     for _ in range(2):
@@ -130,10 +214,13 @@ def _lines(points: Array, good: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bo
         spread = np.einsum("mea,meaj,meak->mejk", weights, apart, apart)
         normal = np.linalg.eigh(spread)[1][..., 0]
         residual = np.abs(np.einsum("meak,mek->mea", apart, normal))
-        bound = np.maximum(3.0 * np.median(residual, axis=-1), _LEAST_BOUND_PX)
+        used = weights
+        bound = np.maximum(_OUTLIER * np.median(residual, axis=-1), _LEAST_BOUND_PX)
         weights = (good & (residual < bound[..., None])).astype(float)
+    squares = np.sum(used * residual**2, axis=(1, 2))
+    free = np.maximum(used.sum(axis=(1, 2)) - 8.0, 1.0)
     lines = np.concatenate([normal, np.sum(normal * centre, axis=-1, keepdims=True)], axis=-1)
-    return lines, weights.sum(axis=-1) >= _LEAST_POINTS
+    return lines, np.sqrt(squares / free), weights.sum(axis=-1) >= _LEAST_POINTS
 
 
 def _intersections(lines: Array) -> Array:

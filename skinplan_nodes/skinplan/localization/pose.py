@@ -1,38 +1,37 @@
-"""From an image to the pose of the workpiece (M1.1, M1.2)."""
+"""From the markers of a sighting to the pose of the workpiece (M1.1, M1.2)."""
 
-import logging
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import (
     AmbiguousPoseError,
-    ImageInvalidError,
-    LocalizationError,
+    FixtureMismatchError,
     NoMarkerError,
     WrongMarkerError,
 )
-from skinplan.localization.camera import require_camera
-from skinplan.localization.detect import detect_markers
-from skinplan.localization.model import CameraModel, Observation, WorkpiecePose
+from skinplan.localization.camera import in_view, require_camera
+from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
+from skinplan.localization.observe import SAME_POSE_RAD, ambiguity
 from skinplan.localization.quality import angle_and_distance, marker_quality
 from skinplan.localization.solve import (
-    Solution,
+    Solutions,
+    marker_errors,
     refine,
-    reprojection_error,
     square_corners,
-    square_solutions,
+    whitening,
 )
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array, apply, difference, inverse
 
-log = logging.getLogger(__name__)
+# Pose, reprojection error [px] and covariance.
+_Solution = tuple[Array, float, Array]
 
-# A pose is a guess when a second one explains the image with an error that is hardly larger ...
+# A pose is a guess when a second one explains the image with an error that is hardly larger.
 AMBIGUITY_MAX = 0.6
-# ... and lies elsewhere: farther turned than this.
-SAME_POSE_RAD = float(np.radians(1.0))
 # Starts that are tried for a second pose.
 _SECOND_TRIES = 2
 # The edges of narrower markers can't be told from their cells; they count only without better ones.
@@ -40,91 +39,34 @@ CLEAR_SIDE_PX = 20.0
 _ENOUGH_CLEAR = 2
 # Corners farther off than this do not belong to the fixture as it is described.
 REPROJECTION_MAX_PX = 3.0
+# The pose of one marker, carried to another, is that far off at most: share of the other's side.
+_AGREES_SHARE = 0.5
+# A hidden marker is expected only well inside the image, seen large enough and not too obliquely.
+_HIDDEN_RIM_PX = 12.0
+_HIDDEN_COSINE = 0.35
+_HIDDEN_SIDE_PX = 28.0
 
 
-def observe(
-    image: NDArray[np.uint8], camera: CameraModel, fixture: Fixture, quality: QualitySettings
-) -> tuple[Observation, ...]:
-    """Finds the fixture's markers in an image.
+@dataclass(frozen=True, eq=False)
+class _Bundle:
+    """Markers of one sighting as one body."""
 
-    Args:
-        image: shape (h, w) grey or (h, w, 3) BGR, 8 bit, of the camera's size, not rectified.
-        camera: The camera.
-        fixture: The markers that count.
-        quality: Figures of eq (3).
+    markers: tuple[Observation, ...]
+    points: Array
+    pixels: Array
+    whiten: Array
 
-    Returns:
-        One observation per marker, by rising id; empty where no marker of any kind is seen.
+    def only(self, keep: NDArray[np.bool_]) -> "_Bundle":
+        markers = tuple(m for m, kept in zip(self.markers, keep, strict=True) if kept)
+        return _Bundle(markers, self.points[keep], self.pixels[keep], self.whiten[keep])
 
-    Raises:
-        ImageInvalidError: The image or the camera can't be used, or the sizes differ.
-        WrongMarkerError: There are markers of the dictionary, but none is of this fixture.
-    """
-    camera = require_camera(camera)
-    if np.shape(image)[:2] != (camera.height, camera.width):
-        raise ImageInvalidError(
-            f"an image of {camera.width} x {camera.height} px, as the camera model says, is "
-            f"accepted, found shape {np.shape(image)}"
-        )
-    ids, corners = detect_markers(image, fixture.dictionary, camera)
-    known = np.isin(ids, [marker.id for marker in fixture.markers])
-    if len(ids) > 0 and not known.any():
-        raise _wrong_markers(ids.tolist(), fixture)
-    if not known.all():
-        log.info("markers %s are not of the fixture", ids[~known].tolist())
-    return observations(ids[known], corners[known], camera, fixture, quality)
-
-
-def observations(
-    ids: NDArray[np.int64],
-    corners: Array,
-    camera: CameraModel,
-    fixture: Fixture,
-    quality: QualitySettings,
-) -> tuple[Observation, ...]:
-    """Judges markers of the fixture whose corners are known.
-
-    Args:
-        ids: Each of the fixture, shape (m,).
-        corners: shape (m, 4, 2) [px].
-        camera: The camera.
-        fixture: Sizes of the markers.
-        quality: Figures of eq (3).
-
-    Returns:
-        One observation per marker; a marker with degenerate corners is left out.
-    """
-    sizes = {marker.id: marker.size_m for marker in fixture.markers}
-    found = []
-    for marker_id, pixels in zip(ids.tolist(), corners, strict=True):
-        square = square_corners(sizes[marker_id])
-        starts = square_solutions(pixels, sizes[marker_id], camera)
-        solutions = sorted(
-            (refine(start, square, pixels, camera) for start in starts), key=lambda s: s.error_px
-        )
-        if not solutions:
-            log.warning("marker %d: no pose explains its corners", marker_id)
-            continue
-        pose = solutions[0].T_camera_object
-        angle, distance = angle_and_distance(pose)
-        found.append(
-            Observation(
-                id=marker_id,
-                size_m=sizes[marker_id],
-                corners=pixels,
-                T_camera_marker=pose,
-                reprojection_error_px=solutions[0].error_px,
-                ambiguity_ratio=_ratio(solutions[0], solutions[-1]),
-                distance_m=distance,
-                angle_rad=angle,
-                quality=marker_quality(angle, distance, quality),
-            )
-        )
-    return tuple(found)
+    @property
+    def ids(self) -> list[int]:
+        return [marker.id for marker in self.markers]
 
 
 def locate(
-    seen: tuple[Observation, ...],
+    seen: Sighting,
     camera: CameraModel,
     fixture: Fixture,
     quality: QualitySettings,
@@ -132,8 +74,10 @@ def locate(
 ) -> WorkpiecePose:
     """Solves for the pose of the workpiece over all corners of the fixture's markers.
 
+    Markers that the others contradict are left out, as long as more than half agree.
+
     Args:
-        seen: Observations of one image.
+        seen: What one image shows, or several of one stand.
         camera: The camera.
         fixture: Where the markers are.
         quality: Figures of eq (3).
@@ -144,113 +88,184 @@ def locate(
         The pose; its E is that of the best marker, by the pose found.
 
     Raises:
-        NoMarkerError: There is no observation.
-        WrongMarkerError: None of the observations is of this fixture.
+        NoMarkerError: No marker is seen.
+        WrongMarkerError: Markers are seen, but none that can be used: of another fixture, twice,
+            or mirrored.
+        FixtureMismatchError: The markers are not where the fixture says.
         AmbiguousPoseError: A second pose explains the image about equally well.
-        LocalizationError: No pose explains the image: the markers are not where the fixture says.
     """
     camera = require_camera(camera)
-    used = _of_fixture(seen, fixture)
-    points = np.vstack([_in_workpiece(fixture, item) for item in used])
-    pixels = np.vstack([item.corners for item in used])
-    best, second = _two_best(used, points, pixels, camera, fixture)
-    if best.error_px > REPROJECTION_MAX_PX:
-        raise LocalizationError(
-            f"the best pose leaves {best.error_px:.1f} px at markers {[item.id for item in used]}; "
-            f"at most {REPROJECTION_MAX_PX} px is accepted: the markers are not where the fixture "
-            f"says"
-        )
-    if second is not None and _ratio(best, second) > ambiguity_max:
-        apart = np.degrees(difference(best.T_camera_object, second.T_camera_object)[1])
-        raise AmbiguousPoseError(
-            f"markers {[item.id for item in used]} fit two poses {apart:.1f} deg apart with errors "
-            f"of {best.error_px:.3f} and {second.error_px:.3f} px; a ratio up to {ambiguity_max} "
-            f"is accepted: come closer, look from aside, or show more markers"
-        )
-    angle, distance, reached = _best_view(best, used, fixture, quality)
+    bundle = _bundle(_usable(seen, fixture), fixture)
+    starts = np.array(
+        [
+            T_camera_marker @ inverse(fixture.T_workpiece_marker(item.id))
+            for item in bundle.markers
+            for T_camera_marker in (item.T_camera_marker, item.T_camera_second)
+        ]
+    )
+    kept, best, starts = _agreed(bundle, starts, camera)
+    pose, error, covariance = best
+    second = _second(kept, pose, starts, camera)
+    if second is not None and second[1] < error:
+        (pose, error, covariance), second = second, best
+    ratio = 0.0 if second is None else ambiguity(pose, second[0], error, second[1])
+    if second is not None and ratio > ambiguity_max:
+        raise _ambiguous(kept, pose, second, error, ambiguity_max)
+    reached, angle, distance = max(_view(pose, item, fixture, quality) for item in kept.markers)
     return WorkpiecePose(
-        T_camera_workpiece=best.T_camera_object,
-        covariance=best.covariance,
-        reprojection_error_px=best.error_px,
+        T_camera_workpiece=pose,
+        covariance=covariance,
+        reprojection_error_px=error,
         quality=reached,
         distance_m=distance,
         angle_rad=angle,
-        marker_ids=np.array([item.id for item in used], dtype=np.int64),
+        marker_ids=np.array(kept.ids, dtype=np.int64),
+        ambiguity_ratio=ratio,
+        rejected_ids=np.array(sorted(set(bundle.ids) - set(kept.ids)), dtype=np.int64),
+        hidden_ids=_hidden(pose, seen, camera, fixture),
     )
 
 
-def _of_fixture(seen: tuple[Observation, ...], fixture: Fixture) -> list[Observation]:
-    if not seen:
-        raise NoMarkerError(
-            f"a marker of the fixture ({_names(fixture)}) was looked for, none was seen"
-        )
+def _usable(seen: Sighting, fixture: Fixture) -> tuple[Observation, ...]:
+    """Returns the markers to solve with, or says why there are none."""
     known = {marker.id for marker in fixture.markers}
-    used = [item for item in seen if item.id in known]
+    used = [item for item in seen.markers if item.id in known]
     if not used:
-        raise _wrong_markers([item.id for item in seen], fixture)
+        foreign = sorted({*seen.unknown, *(item.id for item in seen.markers)})
+        reasons = [
+            text
+            for ids, text in (
+                (foreign, f"markers {foreign} were seen, which are of another fixture"),
+                (seen.duplicates, f"markers {list(seen.duplicates)} are there several times"),
+                (seen.mirrored, f"markers {list(seen.mirrored)} are there mirrored"),
+            )
+            if ids
+        ]
+        if not reasons:
+            raise NoMarkerError(
+                f"a marker of the fixture ({_names(fixture)}) was looked for, none was seen"
+            )
+        raise WrongMarkerError(
+            f"{'; '.join(reasons)}; those of the fixture ({_names(fixture)}) are accepted, "
+            "each once and not mirrored"
+        )
     clear = [item for item in used if _narrowest_px(item.corners) >= CLEAR_SIDE_PX]
-    return clear if len(clear) >= _ENOUGH_CLEAR else used
+    return tuple(clear if len(clear) >= _ENOUGH_CLEAR else used)
+
+
+def _bundle(markers: tuple[Observation, ...], fixture: Fixture) -> _Bundle:
+    points = [
+        apply(fixture.T_workpiece_marker(item.id), square_corners(item.size_m)) for item in markers
+    ]
+    covariance = np.array([item.corner_covariance for item in markers])
+    floor = np.array([item.corner_floor_px for item in markers])
+    pixels = np.array([item.corners for item in markers])
+    return _Bundle(markers, np.array(points), pixels, whitening(covariance, floor))
+
+
+def _agreed(
+    bundle: _Bundle, starts: Array, camera: CameraModel
+) -> tuple[_Bundle, _Solution, Array]:
+    """Finds the largest set of markers that one pose explains, and that pose.
+
+    Returns:
+        The markers, the pose, and the starts by how well they explain these markers.
+    """
+    errors = marker_errors(starts, bundle.points, bundle.pixels, camera)
+    sides = np.array([_narrowest_px(pixels) for pixels in bundle.pixels])
+    allowed = REPROJECTION_MAX_PX + _AGREES_SHARE * sides
+    agrees = errors < allowed
+    cost = np.minimum(errors / allowed, 1.0).sum(axis=1)
+    first = int(np.argmin(cost))
+    kept = bundle.only(agrees[first])
+    order = np.argsort(np.minimum(errors, allowed)[:, agrees[first]].sum(axis=1), kind="stable")
+    while len(kept.markers) > 0:
+        best = refine(starts[order[:1]], kept.points, kept.pixels, kept.whiten, camera)
+        worst = float(best.marker_error_px[0].max())
+        if worst <= REPROJECTION_MAX_PX:
+            break
+        if len(kept.markers) == 1:
+            raise _mismatch(bundle, worst)
+        kept = kept.only(best.marker_error_px[0] < worst)
+    if 2 * len(kept.markers) <= len(bundle.markers):
+        raise _mismatch(bundle, float(errors[first].max()))
+    return kept, _solution(best, 0), starts[order]
+
+
+def _second(
+    kept: _Bundle, pose: Array, starts: Array, camera: CameraModel
+) -> _Solution | None:
+    """Returns the best pose elsewhere; None = there is none."""
+    away = [start for start in starts if difference(pose, start)[1] > SAME_POSE_RAD]
+    if not away:
+        return None
+    found = refine(
+        np.array(away[:_SECOND_TRIES]), kept.points, kept.pixels, kept.whiten, camera
+    )
+    others = [
+        (float(found.error_px[k]), k)
+        for k in range(len(found.poses))
+        if difference(pose, found.poses[k])[1] > SAME_POSE_RAD
+    ]
+    if not others:
+        return None
+    return _solution(found, min(others)[1])
+
+
+def _solution(found: Solutions, number: int) -> _Solution:
+    return found.poses[number], float(found.error_px[number]), found.covariance[number]
+
+
+def _view(
+    pose: Array, item: Observation, fixture: Fixture, quality: QualitySettings
+) -> tuple[float, float, float]:
+    """Returns E, theta and d of a marker by the pose of the workpiece."""
+    angle, distance = angle_and_distance(pose @ fixture.T_workpiece_marker(item.id))
+    return marker_quality(angle, distance, quality), angle, distance
+
+
+def _hidden(
+    pose: Array, seen: Sighting, camera: CameraModel, fixture: Fixture
+) -> NDArray[np.int64]:
+    """Returns the markers that should be seen by a pose, and are not."""
+    found = {*(item.id for item in seen.markers), *seen.duplicates, *seen.mirrored}
+    missing = []
+    for marker in fixture.markers:
+        T_camera_marker = pose @ fixture.T_workpiece_marker(marker.id)
+        place = T_camera_marker[:3, 3]
+        cosine = -float(T_camera_marker[:3, 2] @ place) / max(float(np.linalg.norm(place)), 1e-9)
+        if marker.id in found or place[2] <= 0.0 or cosine < _HIDDEN_COSINE:
+            continue
+        side = marker.size_m * cosine / place[2] * camera.K[0, 0]
+        corners = apply(T_camera_marker, square_corners(marker.size_m))
+        if side >= _HIDDEN_SIDE_PX and in_view(corners, camera, _HIDDEN_RIM_PX).all():
+            missing.append(marker.id)
+    return np.array(missing, dtype=np.int64)
 
 
 def _narrowest_px(corners: Array) -> float:
     return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
 
 
-def _two_best(
-    used: list[Observation], points: Array, pixels: Array, camera: CameraModel, fixture: Fixture
-) -> tuple[Solution, Solution | None]:
-    """Refines from the best of the markers' own poses, and from the best one elsewhere."""
-    starts = []
-    for item in used:
-        T_marker_workpiece = inverse(fixture.T_workpiece_marker(item.id))
-        for T_camera_marker in square_solutions(item.corners, item.size_m, camera):
-            start = T_camera_marker @ T_marker_workpiece
-            starts.append((reprojection_error(start, points, pixels, camera), start))
-    if not starts:
-        raise LocalizationError("no pose explains the corners of the markers seen")
-    starts.sort(key=lambda pair: pair[0])
-    best = refine(starts[0][1], points, pixels, camera)
-    away = [
-        start
-        for _, start in starts[1:]
-        if difference(best.T_camera_object, start)[1] > SAME_POSE_RAD
-    ]
-    for start in away[:_SECOND_TRIES]:
-        other = refine(start, points, pixels, camera)
-        if difference(best.T_camera_object, other.T_camera_object)[1] > SAME_POSE_RAD:
-            return (best, other) if best.error_px <= other.error_px else (other, best)
-    return best, None
+def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:
+    return FixtureMismatchError(
+        f"the best pose leaves {error_px:.1f} px at markers {bundle.ids}; at most "
+        f"{REPROJECTION_MAX_PX} px at more than half of them is accepted: the markers are not "
+        f"where the fixture says"
+    )
 
 
-def _best_view(
-    best: Solution, used: list[Observation], fixture: Fixture, quality: QualitySettings
-) -> tuple[float, float, float]:
-    """Returns theta, d and E of the marker with the largest E."""
-    views = []
-    for item in used:
-        pose = best.T_camera_object @ fixture.T_workpiece_marker(item.id)
-        angle, distance = angle_and_distance(pose)
-        views.append((marker_quality(angle, distance, quality), angle, distance))
-    reached, angle, distance = max(views)
-    return angle, distance, reached
-
-
-def _in_workpiece(fixture: Fixture, item: Observation) -> Array:
-    return apply(fixture.T_workpiece_marker(item.id), square_corners(item.size_m))
-
-
-def _ratio(best: Solution, second: Solution) -> float:
-    """Returns best over second error; 0 where both are one pose, 1 where neither has any error."""
-    if difference(best.T_camera_object, second.T_camera_object)[1] <= SAME_POSE_RAD:
-        return 0.0
-    return best.error_px / second.error_px if second.error_px > 1e-9 else 1.0
-
-
-def _wrong_markers(ids: list[int], fixture: Fixture) -> WrongMarkerError:
-    return WrongMarkerError(
-        f"markers {ids} were seen; those of the fixture ({_names(fixture)}) are accepted"
+def _ambiguous(
+    kept: _Bundle, pose: Array, second: _Solution, error_px: float, accepted: float
+) -> AmbiguousPoseError:
+    apart = np.degrees(difference(pose, second[0])[1])
+    return AmbiguousPoseError(
+        f"markers {kept.ids} fit two poses {apart:.1f} deg apart with errors of "
+        f"{error_px:.3f} and {second[1]:.3f} px; a ratio up to {accepted} is accepted: come "
+        f"closer, look from aside, or show more markers"
     )
 
 
 def _names(fixture: Fixture) -> str:
-    return f"{fixture.dictionary} ids {[marker.id for marker in fixture.markers]}"
+    ids: Sequence[int] = [marker.id for marker in fixture.markers]
+    return f"{fixture.dictionary} ids {list(ids)}"

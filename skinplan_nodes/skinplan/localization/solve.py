@@ -4,39 +4,44 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
+from scipy.stats import chi2
 
 from skinplan.localization.camera import project, project_with_derivative
 from skinplan.localization.model import CameraModel
-from skinplan.transforms import Array, apply, transform
+from skinplan.transforms import Array, transform
 
-# Prior of the corner noise: what the edge fit reaches on rendered images at 1 m, and its weight as
-# a count of observations. The residuals of the image itself are added to it.
-CORNER_NOISE_PX = 0.02
-_PRIOR_COUNT = 8.0
-_ROUNDS = 30
+_ROUNDS = 25
 _DAMPING = 1e-4
-_SMALLEST_STEP = 1e-10
-# Keeps the equations solvable where a point is behind the camera and nothing can be derived.
+_SMALLEST_STEP = 1e-9
+# Keeps the equations solvable where nothing can be derived.
 _LEAST_SCALE = 1e-9
 # What a point behind the camera counts as [px].
 _BEHIND_PX = 1e4
+_BEHIND_WHITENED = 1e6
+_LEAST_DEPTH_M = 1e-6
+# Residuals that chance makes so large in one of a thousand images are no chance: the corners are
+# worse than their noise says (a bent print, a camera that is calibrated badly).
+_CHANCE = 0.999
+# Weight of the corners' own covariance against the residuals, as a count of observations.
+_PRIOR_COUNT = 20.0
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
-    """A pose and how well it explains the pixels.
+class Solutions:
+    """Local minima of the reprojection, one for each start.
 
     Attributes:
-        T_camera_object: shape (4, 4) [m].
-        covariance: shape (6, 6), x y z [m] rx ry rz [rad] in the optical frame.
-        error_px: Root mean square of the distances between pixels and projections [px].
+        poses: ``T_camera_object``, shape (b, 4, 4) [m].
+        covariance: shape (b, 6, 6), x y z [m] rx ry rz [rad] in the optical frame.
+        error_px: Root mean square of the distances between pixels and projections, shape (b,).
+        marker_error_px: The same for each marker, shape (b, m).
     """
 
-    T_camera_object: Array
+    poses: Array
     covariance: Array
-    error_px: float
+    error_px: Array
+    marker_error_px: Array
 
 
 def square_corners(size_m: float) -> Array:
@@ -59,83 +64,149 @@ def square_solutions(corners: Array, size_m: float, camera: CameraModel) -> list
         ``T_camera_marker``, shape (4, 4) [m] each; empty where the corners are degenerate.
     """
     _, turns, places, _ = cv2.solvePnPGeneric(
-        square_corners(size_m), corners, camera.K, camera.D, flags=cv2.SOLVEPNP_IPPE_SQUARE
+        square_corners(size_m),
+        np.asarray(corners, dtype=float),
+        camera.K,
+        camera.D,
+        flags=cv2.SOLVEPNP_IPPE_SQUARE,
     )
     poses = []
     for turn, place in zip(turns, places, strict=True):
-        if np.all(np.isfinite(turn)) and np.all(np.isfinite(place)):
+        if np.all(np.isfinite(turn)) and np.all(np.isfinite(place)) and place[2, 0] > 0.0:
             rotation = Rotation.from_rotvec(turn.ravel()).as_matrix()
             poses.append(transform(place.ravel(), rotation))
     return poses
 
 
-def reprojection_error(
-    T_camera_object: Array, points: Array, pixels: Array, camera: CameraModel
-) -> float:
-    """Returns the root mean square distance between pixels and projections [px]."""
-    seen = apply(T_camera_object, points)
-    if seen[:, 2].min() <= 0.0:
-        return _BEHIND_PX
-    return float(np.sqrt(np.mean(np.sum((project(seen, camera) - pixels) ** 2, axis=1))))
-
-
-def refine(T_camera_object: Array, points: Array, pixels: Array, camera: CameraModel) -> Solution:
-    """Least squares of the reprojection by Levenberg-Marquardt.
+def whitening(covariance: Array, floor_px: Array | float) -> Array:
+    """Returns W with W C W^T = 1 for the error C of the corners of markers, shape (..., 8, 8).
 
     Args:
-        T_camera_object: Where to start, shape (4, 4) [m].
-        points: In the object's frame, shape (n, 3) [m], n >= 4.
-        pixels: shape (n, 2) [px].
+        covariance: Random part of the corners' error, shape (..., 8, 8) [px^2].
+        floor_px: Part that does not get less with more images, shape (...) [px].
+    """
+    total = covariance + np.asarray(floor_px)[..., None, None] ** 2 * np.eye(8)
+    return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
+
+
+def marker_errors(poses: Array, points: Array, pixels: Array, camera: CameraModel) -> Array:
+    """Returns how far the corners of markers are from where poses put them.
+
+    Args:
+        poses: ``T_camera_object``, shape (b, 4, 4) [m].
+        points: In the object, shape (m, 4, 3) [m].
+        pixels: shape (m, 4, 2) [px].
         camera: The camera.
 
     Returns:
-        The local minimum with covariance ``(J^T J)^-1 sigma^2``; sigma is estimated from the
-        residuals together with the prior `CORNER_NOISE_PX`.
+        Root mean square distances, shape (b, m) [px].
     """
-    pose, damping = T_camera_object, _DAMPING
-    residual, jacobian = _linearised(pose, points, pixels, camera)
-    cost = float(residual @ residual)
+    seen = _placed(poses, points[None])
+    ahead = seen[..., 2].min(axis=-1) > _LEAST_DEPTH_M
+    seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
+    squares = np.sum((project(seen, camera) - pixels) ** 2, axis=-1).mean(axis=-1)
+    return np.asarray(np.where(ahead, np.sqrt(squares), _BEHIND_PX))
+
+
+def refine(
+    starts: Array, points: Array, pixels: Array, whiten: Array, camera: CameraModel
+) -> Solutions:
+    """Weighted least squares of the reprojection by Levenberg-Marquardt, many starts at once.
+
+    Args:
+        starts: ``T_camera_object``, shape (b, 4, 4) [m].
+        points: Corners of m markers in the object, shape (m, 4, 3), or those of each start, shape
+            (b, m, 4, 3) [m].
+        pixels: The same with shape (..., 2) [px].
+        whiten: `whitening` of the markers, shape (m, 8, 8) or (b, m, 8, 8).
+        camera: The camera.
+
+    Returns:
+        The local minima. The covariance is ``(J^T J)^-1`` of the whitened residuals; where they
+        are larger than chance makes them, it grows with them.
+    """
+    count = len(starts)
+    points, pixels, whiten = (
+        np.broadcast_to(item, (count, *item.shape[-3:])) for item in (points, pixels, whiten)
+    )
+    poses, damping = np.array(starts, dtype=float), np.full(count, _DAMPING)
+    residual, jacobian = _linearised(poses, points, pixels, whiten, camera)
+    cost = np.einsum("bi,bi->b", residual, residual)
     for _ in range(_ROUNDS):
-        normal = jacobian.T @ jacobian
-        scale = np.diag(np.maximum(np.diag(normal), _LEAST_SCALE))
-        step = -np.linalg.solve(normal + damping * scale, jacobian.T @ residual)
-        moved = _moved(pose, step)
-        new_residual, new_jacobian = _linearised(moved, points, pixels, camera)
-        new_cost = float(new_residual @ new_residual)
-        if new_cost < cost:
-            settled = cost - new_cost < 1e-12 * cost
-            pose, residual, jacobian, cost = moved, new_residual, new_jacobian, new_cost
-            damping *= 0.1
-            if settled:
-                break
-        else:
-            damping *= 10.0
-        if np.abs(step).max() < _SMALLEST_STEP:
+        step = _step(residual, jacobian, damping)
+        moved = _moved(poses, step)
+        new_residual, new_jacobian = _linearised(moved, points, pixels, whiten, camera)
+        new_cost = np.einsum("bi,bi->b", new_residual, new_residual)
+        better = new_cost < cost
+        settled = (np.abs(step).max(axis=1) < _SMALLEST_STEP) | (
+            better & (cost - new_cost < 1e-10 * cost)
+        )
+        poses = np.where(better[:, None, None], moved, poses)
+        residual = np.where(better[:, None], new_residual, residual)
+        jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
+        cost = np.where(better, new_cost, cost)
+        damping = np.where(better, damping * 0.1, damping * 10.0)
+        if settled.all():
             break
-    free = max(2 * len(points) - 6, 0)
-    variance = (cost + _PRIOR_COUNT * CORNER_NOISE_PX**2) / (free + _PRIOR_COUNT)
-    covariance = variance * np.linalg.pinv(jacobian.T @ jacobian, hermitian=True)
-    return Solution(pose, np.asarray(covariance, dtype=float), float(np.sqrt(cost / len(points))))
+    return _solutions(poses, jacobian, cost, points, pixels, camera)
+
+
+def _solutions(
+    poses: Array, jacobian: Array, cost: Array, points: Array, pixels: Array, camera: CameraModel
+) -> Solutions:
+    free = max(jacobian.shape[1] - 6, 1)
+    usual = (_PRIOR_COUNT + cost) / (_PRIOR_COUNT + free)
+    growth = np.where(cost > chi2.ppf(_CHANCE, free), cost / free, usual)
+    normal = jacobian.swapaxes(1, 2) @ jacobian
+    covariance = growth[:, None, None] * np.linalg.pinv(normal, hermitian=True)
+    errors = np.array(
+        [
+            marker_errors(pose[None], place, pixel, camera)[0]
+            for pose, place, pixel in zip(poses, points, pixels, strict=True)
+        ]
+    )
+    return Solutions(poses, covariance, np.sqrt(np.mean(errors**2, axis=1)), errors)
+
+
+def _step(residual: Array, jacobian: Array, damping: Array) -> Array:
+    normal = jacobian.swapaxes(1, 2) @ jacobian
+    diagonal = np.maximum(np.einsum("bii->bi", normal), _LEAST_SCALE)
+    damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(6)
+    gradient = np.einsum("bij,bi->bj", jacobian, residual)
+    return np.asarray(-np.linalg.solve(damped, gradient[..., None])[..., 0])
 
 
 def _linearised(
-    T_camera_object: Array, points: Array, pixels: Array, camera: CameraModel
+    poses: Array, points: Array, pixels: Array, whiten: Array, camera: CameraModel
 ) -> tuple[Array, Array]:
-    """Returns residuals, (2 n,) [px], and their derivative by (x, y, z, rx, ry, rz), (2 n, 6)."""
-    arm = points @ T_camera_object[:3, :3].T
-    seen = arm + T_camera_object[:3, 3]
-    if seen[:, 2].min() <= 0.0:
-        return np.full(2 * len(points), _BEHIND_PX), np.zeros((2 * len(points), 6))
+    """Returns whitened residuals, (b, 8 m), and derivative by (x, y, z, rx, ry, rz), (b, 8 m, 6).
+
+    A pose with a point behind the camera has large residuals and no derivative.
+    """
+    count, markers = points.shape[:2]
+    seen = _placed(poses, points)
+    arm = seen - poses[:, None, None, :3, 3]
+    ahead = seen[..., 2].min(axis=(1, 2)) > _LEAST_DEPTH_M
+    seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
     projected, by_point = project_with_derivative(seen, camera)
-    by_turn = np.zeros((len(points), 3, 3))
-    by_turn[:, 0, 1], by_turn[:, 0, 2], by_turn[:, 1, 2] = arm[:, 2], -arm[:, 1], arm[:, 0]
-    by_turn -= np.swapaxes(by_turn, 1, 2)
-    jacobian = np.concatenate([by_point, by_point @ by_turn], axis=2)
-    return (projected - pixels).ravel(), jacobian.reshape(-1, 6)
+    by_turn = np.zeros((*arm.shape, 3))
+    by_turn[..., 0, 1], by_turn[..., 0, 2], by_turn[..., 1, 2] = arm[..., 2], -arm[..., 1], arm[..., 0]
+    by_turn -= by_turn.swapaxes(-1, -2)
+    jacobian = np.concatenate([by_point, by_point @ by_turn], axis=-1)
+    jacobian = whiten @ jacobian.reshape(count, markers, 8, 6)
+    residual = (whiten @ (projected - pixels).reshape(count, markers, 8, 1)).reshape(count, -1)
+    jacobian = np.where(ahead[:, None, None], jacobian.reshape(count, -1, 6), 0.0)
+    return np.where(ahead[:, None], residual, _BEHIND_WHITENED), jacobian
 
 
-def _moved(T_camera_object: Array, step: NDArray[np.floating]) -> Array:
-    result = T_camera_object.copy()
-    result[:3, :3] = Rotation.from_rotvec(step[3:]).as_matrix() @ result[:3, :3]
-    result[:3, 3] += step[:3]
+def _placed(poses: Array, points: Array) -> Array:
+    """Maps corners, (b or 1, m, 4, 3), by poses, (b, 4, 4): shape (b, m, 4, 3)."""
+    turned = points @ poses[:, None, :3, :3].swapaxes(-1, -2)
+    return np.asarray(turned + poses[:, None, None, :3, 3])
+
+
+def _moved(poses: Array, step: Array) -> Array:
+    result = poses.copy()
+    result[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    result[:, :3, 3] += step[:, :3]
     return result
