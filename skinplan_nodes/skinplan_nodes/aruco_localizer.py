@@ -10,25 +10,28 @@ from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
 from rclpy.timer import Timer
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from skinplan_msgs import msg as messages
 from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import Status
 from tf2_msgs.msg import TFMessage
 
-from skinplan.localization.model import Observation
+from skinplan.errors import PartMovedError
+from skinplan.localization.chain import LocatedPart, moved_by
+from skinplan.localization.loop import ApproachLoop, ApproachSettings, Estimate, View
+from skinplan.localization.model import Sighting
+from skinplan.part.files import load_part
 from skinplan.part.model import Part
 from skinplan.transforms import Array
-from skinplan_nodes.approach_loop import ApproachLoop, ApproachSettings, Estimate
 from skinplan_nodes.base_driver import BaseDriver
-from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames, View
+from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames
 from skinplan_nodes.conversions import (
-    LocatedPart,
     observations_to_msg,
     part_pose_to_msg,
     pose_stamped_to_msg,
     transform_stamped_to_msg,
 )
+from skinplan_nodes.marker_watch import DetectionRecord, MarkerWatcher
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.offload import in_thread
 from skinplan_nodes.parameters import CELL_FILE, Parameter, load
@@ -39,6 +42,8 @@ from skinplan_nodes.replies import RefusedError, log_error, ok, status_of
 from skinplan_nodes.run import run_node
 
 _UNKNOWN = float("nan")
+# A goal that is worked on at the node's end gets so long to stop the base and to answer.
+_END_TIMEOUT_S = 8.0
 
 
 class GoalCell:
@@ -70,9 +75,9 @@ class GoalCell:
         self._not_before_s = self._node.now_s()
         return arrived
 
-    def seen(self, observations: Sequence[Observation], view: View) -> None:
+    def seen(self, sighting: Sighting, view: View) -> None:
         """Publishes what was seen."""
-        self._node.publish_observations(observations, view)
+        self._node.publish_observations(sighting, view)
 
     def told(self, estimate: Estimate) -> None:
         """Sends the estimate as feedback."""
@@ -109,6 +114,33 @@ class ArucoLocalizer(CellNode):
             "quality_threshold", 0.0, "T_E of eq (3) [1]; 0 = the one of the cell file.", 0.0, 1.0
         ),
         Parameter("max_attempts", 0, "Estimates at most [1]; 0 = as the cell file says.", 0, 1000),
+        Parameter("images", 3, "Images that are averaged for one estimate [1].", 1, 100),
+        Parameter(
+            "part_moved_m",
+            0.25,
+            "A part that is farther than this from its last place has moved [m]; allows for the "
+            "base's own error at both looks.",
+            0.0,
+            100.0,
+        ),
+        Parameter(
+            "part_moved_rad", 0.1, "... or that is turned more than this [rad].", 0.0, 3.1416
+        ),
+        Parameter("compressed", False, "Take compressed images (JPEG or PNG)."),
+        Parameter("rectified", False, "The images are rectified: the camera info's P holds."),
+        Parameter(
+            "watched_part",
+            "",
+            "Part file whose markers are watched between goals; empty = that of the last goal, "
+            "none before the first one.",
+        ),
+        Parameter(
+            "watch_rate_hz",
+            0.0,
+            "Images evaluated between goals at most [Hz]; 0 = none.",
+            0.0,
+            60.0,
+        ),
         Parameter("tf_rate_hz", 2.0, "Rate of map to workpiece on tf [Hz].", 0.1, 50.0),
     )
 
@@ -117,10 +149,14 @@ class ArucoLocalizer(CellNode):
         self._cell = configured_cell(self.values.cell_file)
         self._parts = PartCache()
         self.frames = Frames()
-        self.feed = CameraFeed(self.frames, self.now_s, load(self.values, FeedSettings))
+        self.feed = CameraFeed(
+            self.frames, self.now_s, load(self.values, FeedSettings), self.values.rectified
+        )
         self.base = BaseDriver(self, self.values.drive_timeout_s)
         self._busy = threading.Lock()
         self._T_map_workpiece: Array | None = None
+        self._places: dict[tuple[str, str], Array] = {}
+        self._detections = DetectionRecord()
         self._make_publishers()
         self._make_subscriptions()
         self._server = ActionServer(
@@ -132,11 +168,38 @@ class ArucoLocalizer(CellNode):
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=ReentrantCallbackGroup(),
         )
+        self._watcher = MarkerWatcher(
+            self.feed, self._cell, self.values.watch_rate_hz, self.publish_observations, self.ended
+        )
+        if self.values.watched_part:
+            self._watcher.fixture = load_part(self.values.watched_part).fixture
+        self._watcher.start()
 
-    def publish_observations(self, observations: Sequence[Observation], view: View) -> None:
+    def close(self) -> None:
+        """Ends the goal that is being worked on: the base stops, the caller gets an error."""
+        self.asked_to_end.set()
+        if self._busy.acquire(timeout=_END_TIMEOUT_S):
+            self._busy.release()
+        self._watcher.join(_END_TIMEOUT_S)
+
+    def health_values(self) -> dict[str, Any]:
+        """Returns rates and ages for ``/diagnostics``."""
+        if not hasattr(self, "_watcher"):
+            return {}
+        counts = self.feed.counts()
+        return {
+            "image_rate_hz": f"{counts.rate_hz:.1f}",
+            "images_received": counts.received,
+            "images_evaluated": counts.used,
+            "images_dropped": counts.dropped,
+            **self._detections.values(self.now_s()),
+        }
+
+    def publish_observations(self, sighting: Sighting, view: View) -> None:
         """Publishes the markers of one image; an empty list, too."""
+        self._detections.note(sighting)
         self._observations.publish(
-            observations_to_msg(observations, view.frame, view.stamp_s, view.age_s)
+            observations_to_msg(sighting, self._cell.quality, view.frame, view.stamp_s, view.age_s)
         )
 
     def _make_publishers(self) -> None:
@@ -150,9 +213,10 @@ class ArucoLocalizer(CellNode):
 
     def _make_subscriptions(self) -> None:
         camera, moving = MutuallyExclusiveCallbackGroup(), MutuallyExclusiveCallbackGroup()
-        self.create_subscription(
-            Image, "camera/color/image_raw", self.feed.take_image, IMAGE, callback_group=camera
-        )
+        kind, topic = Image, "camera/color/image_raw"
+        if self.values.compressed:
+            kind, topic = CompressedImage, f"{topic}/compressed"
+        self.create_subscription(kind, topic, self.feed.take_image, IMAGE, callback_group=camera)
         self.create_subscription(
             CameraInfo, "camera/color/camera_info", self.feed.take_info, SENSOR,
             callback_group=camera,
@@ -200,6 +264,8 @@ class ArucoLocalizer(CellNode):
 
     def _localize(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
         part = self._parts.part(handle.request.part)
+        self._watcher.fixture = part.fixture
+        self._watcher.paused = self.feed.wanted = True
         loop = ApproachLoop(
             GoalCell(self, handle),
             self._cell,
@@ -211,7 +277,8 @@ class ArucoLocalizer(CellNode):
             estimate = loop.run()
         finally:
             result.attempts, result.quality = loop.attempts, loop.best_quality
-        self._publish_result(part, estimate, result)
+            self._watcher.paused, self.feed.wanted = False, self._watcher.active
+        self._publish_result(part, estimate, result, handle.request.new_place)
         self.set_health(
             "ok", f"located {part.id}", quality=f"{result.quality:.3f}", attempts=loop.attempts
         )
@@ -229,13 +296,28 @@ class ArucoLocalizer(CellNode):
             goal.max_attempts or self.values.max_attempts or quality.max_attempts,
             self.values.max_misses,
             goal.may_move,
+            self.values.images,
         )
 
-    def _publish_result(self, part: Part, estimate: Estimate, result: LocalizePart.Result) -> None:
+    def _publish_result(
+        self, part: Part, estimate: Estimate, result: LocalizePart.Result, new_place: bool
+    ) -> None:
         assert estimate.pose is not None
         T_arm_base_camera = self.frames.lookup("arm_base", estimate.frame)
-        located = LocatedPart.from_camera(estimate.pose, T_arm_base_camera, estimate.stamp_s)
-        self._T_map_workpiece = self.frames.lookup("map", "arm_base") @ located.T_arm_base_workpiece
+        camera = self._cell.camera
+        located = LocatedPart.from_camera(
+            estimate.pose,
+            T_arm_base_camera,
+            estimate.stamp_s,
+            camera.mounting_error_m,
+            camera.mounting_error_rad,
+        )
+        T_map_workpiece = self.frames.lookup("map", "arm_base") @ located.T_arm_base_workpiece
+        self._check_place(part, T_map_workpiece, new_place)
+        self._T_map_workpiece = T_map_workpiece
+        result.hidden_ids = estimate.pose.hidden_ids.tolist()
+        result.rejected_ids = estimate.pose.rejected_ids.tolist()
+        self._detections.good(estimate.pose.quality, estimate.stamp_s)
         result.part_pose = part_pose_to_msg(located)
         result.map_pose = pose_stamped_to_msg(self._T_map_workpiece, "map", estimate.stamp_s)
         result.quality = located.quality
@@ -247,6 +329,20 @@ class ArucoLocalizer(CellNode):
             TFMessage(transforms=[transform_stamped_to_msg(*edge, self.now_s()) for edge in edges])
         )
         self._publish_frame()
+
+    def _check_place(self, part: Part, T_map_workpiece: Array, new_place: bool) -> None:
+        """Compares the place of a part with that of its last localisation."""
+        key = (part.id, part.mesh_sha256)
+        last = self._places.get(key)
+        if last is not None and not new_place:
+            values = self.values
+            moved = moved_by(last, T_map_workpiece, values.part_moved_m, values.part_moved_rad)
+            if moved:
+                raise PartMovedError(
+                    f"{part.id} was looked for at its last place, but {moved}; new_place in the "
+                    f"goal accepts another one"
+                )
+        self._places[key] = T_map_workpiece
 
     def _publish_frame(self) -> None:
         pose = self._T_map_workpiece

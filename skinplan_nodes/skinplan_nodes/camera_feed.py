@@ -3,31 +3,36 @@
 import math
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
-from skinplan_msgs.msg import Status
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from tf2_msgs.msg import TFMessage
 
-from skinplan.errors import InputError, LocalizationError
+from skinplan.errors import (
+    FrameMissingError,
+    InputError,
+    LocalizationError,
+    NoImageError,
+    StaleImageError,
+)
 from skinplan.localization.frames import TransformTree
-from skinplan.localization.model import CameraModel
+from skinplan.localization.loop import View, cancelled
 from skinplan.transforms import Array, difference
 from skinplan_nodes.conversions import (
     camera_info_from_msg,
+    compressed_image_from_msg,
     image_from_msg,
     stamp_from_msg,
     transform_stamped_from_msg,
 )
-from skinplan_nodes.replies import RefusedError
 
 # Smaller differences between two poses of the base are noise of its odometry.
 _STILL_M = 2e-4
 _STILL_RAD = 2e-4
 _POLL_S = 0.05
+_RATE_IMAGES = 30
 
 
 @dataclass(frozen=True)
@@ -45,23 +50,21 @@ class FeedSettings:
     wall_timeout_s: float = 30.0
 
 
-@dataclass(frozen=True, eq=False)
-class View:
-    """One image with the camera that took it.
+@dataclass(frozen=True)
+class FeedCounts:
+    """What became of the images so far.
 
     Attributes:
-        image: shape (h, w) grey or (h, w, 3) BGR.
-        camera: The camera.
-        frame: Its optical frame.
-        stamp_s: Time of the image [s].
-        age_s: How old it was when it was taken over [s].
+        received: Images that came.
+        used: Images that were looked at.
+        dropped: Images that were replaced by a newer one while somebody wanted images.
+        rate_hz: Images per second of their own stamps, of the last ones; NaN = fewer than two.
     """
 
-    image: NDArray[np.uint8]
-    camera: CameraModel
-    frame: str
-    stamp_s: float
-    age_s: float
+    received: int
+    used: int
+    dropped: int
+    rate_hz: float
 
 
 class Frames:
@@ -93,13 +96,13 @@ class Frames:
         """Returns ``T_target_source``, shape (4, 4) [m].
 
         Raises:
-            RefusedError: NO_TRANSFORM.
+            FrameMissingError: A frame is not known, or nothing connects the two.
         """
         try:
             with self._lock:
                 return self._tree.lookup(target, source)
         except LocalizationError as error:
-            raise RefusedError(Status.NO_TRANSFORM, str(error)) from error
+            raise FrameMissingError(str(error)) from error
 
     @property
     def moved_s(self) -> float:
@@ -125,24 +128,41 @@ class Frames:
 class CameraFeed:
     """Holds the newest image and camera model; gives out an image that is new enough.
 
+    Nothing queues: an image that nobody took is replaced by the next one.
+
     Args:
         frames: Knows when the base moved.
         now_s: The cell's clock [s].
         settings: When an image is good enough.
+        rectified: The images are rectified.
     """
 
-    def __init__(self, frames: Frames, now_s: Callable[[], float], settings: FeedSettings) -> None:
+    def __init__(
+        self,
+        frames: Frames,
+        now_s: Callable[[], float],
+        settings: FeedSettings,
+        rectified: bool = False,
+    ) -> None:
         self._frames = frames
         self._now_s = now_s
         self._settings = settings
-        self._image: Image | None = None
+        self._rectified = rectified
+        self._image: Image | CompressedImage | None = None
         self._info: CameraInfo | None = None
         self._arrived = threading.Condition()
+        self._stamps: deque[float] = deque(maxlen=_RATE_IMAGES)
+        self._received = self._used = self._dropped = 0
+        self._taken = True
+        self.wanted = False
 
-    def take_image(self, msg: Image) -> None:
+    def take_image(self, msg: Image | CompressedImage) -> None:
         """Takes an image in."""
         with self._arrived:
-            self._image = msg
+            self._received += 1
+            self._dropped += self.wanted and not self._taken
+            self._image, self._taken = msg, False
+            self._stamps.append(stamp_from_msg(msg.header.stamp))
             self._arrived.notify_all()
 
     def take_info(self, msg: CameraInfo) -> None:
@@ -150,6 +170,30 @@ class CameraFeed:
         with self._arrived:
             self._info = msg
             self._arrived.notify_all()
+
+    def counts(self) -> FeedCounts:
+        """Returns what became of the images so far."""
+        with self._arrived:
+            span_s = self._stamps[-1] - self._stamps[0] if len(self._stamps) > 1 else 0.0
+            rate_hz = (len(self._stamps) - 1) / span_s if span_s > 0.0 else math.nan
+            return FeedCounts(self._received, self._used, self._dropped, rate_hz)
+
+    def next(self, timeout_s: float) -> View | None:
+        """Returns the newest image that nobody took, wherever the base is; None = none came.
+
+        Args:
+            timeout_s: So long is waited for it, on wall time [s].
+
+        Raises:
+            ImageInvalidError: The image or the camera model can't be used.
+        """
+        with self._arrived:
+            if not self._arrived.wait_for(
+                lambda: not self._taken and self._info is not None, timeout_s
+            ):
+                return None
+            image, info = self._take()
+        return self._view(image, info)
 
     def look(self, after_s: float, is_cancelled: Callable[[], bool]) -> View:
         """Waits for an image that was taken after a time and after the base has come to rest.
@@ -159,7 +203,9 @@ class CameraFeed:
             is_cancelled: Asked while waiting.
 
         Raises:
-            RefusedError: NO_IMAGE, STALE_IMAGE or LOCALIZATION_CANCELLED.
+            NoImageError: None came.
+            StaleImageError: None that is new enough.
+            LocalizationCancelledError: It was cancelled.
             ImageInvalidError: The image or the camera model can't be used.
         """
         begin_s, begin_wall = self._now_s(), time.monotonic()
@@ -174,12 +220,22 @@ class CameraFeed:
                 ):
                     raise self._missing(after_s)
                 self._arrived.wait(_POLL_S)
-            image, info = self._image, self._info
-        assert image is not None and info is not None
+            image, info = self._take()
+        return self._view(image, info)
+
+    def _take(self) -> tuple[Image | CompressedImage, CameraInfo]:
+        assert self._image is not None and self._info is not None
+        self._used += 1
+        self._taken = True
+        return self._image, self._info
+
+    def _view(self, image: Image | CompressedImage, info: CameraInfo) -> View:
         stamp_s = stamp_from_msg(image.header.stamp)
+        compressed = isinstance(image, CompressedImage)
+        pixels = compressed_image_from_msg(image) if compressed else image_from_msg(image)
         return View(
-            image_from_msg(image),
-            camera_info_from_msg(info),
+            pixels,
+            camera_info_from_msg(info, self._rectified),
             image.header.frame_id,
             stamp_s,
             max(0.0, self._now_s() - stamp_s),
@@ -193,23 +249,16 @@ class CameraFeed:
             return False
         return stamp_s >= self._frames.moved_s + self._settings.settle_s
 
-    def _missing(self, after_s: float) -> RefusedError:
+    def _missing(self, after_s: float) -> LocalizationError:
         if self._image is None or self._info is None:
             what = "image" if self._image is None else "camera info"
-            return RefusedError(
-                Status.NO_IMAGE,
+            return NoImageError(
                 f"an image was waited for {self._settings.image_timeout_s} s, but no {what} came; "
-                "a camera that publishes both is needed",
+                "a camera that publishes both is needed"
             )
         stamp_s = stamp_from_msg(self._image.header.stamp)
         needed_s = max(after_s, self._frames.moved_s + self._settings.settle_s)
-        return RefusedError(
-            Status.STALE_IMAGE,
+        return StaleImageError(
             f"an image taken after {needed_s:.3f} s (the base moved until "
-            f"{self._frames.moved_s:.3f} s) was waited for, the newest one is of {stamp_s:.3f} s",
+            f"{self._frames.moved_s:.3f} s) was waited for, the newest one is of {stamp_s:.3f} s"
         )
-
-
-def cancelled() -> RefusedError:
-    """Returns the error of a localisation that was cancelled."""
-    return RefusedError(Status.LOCALIZATION_CANCELLED, "the localisation was cancelled")

@@ -87,6 +87,10 @@ class CellNodeMixin:
         self._health = (_LEVELS[level], message, details)
         self._publish_health()
 
+    def health_values(self) -> dict[str, Any]:
+        """Returns values that go out with every report of the node's health; none here."""
+        return {}
+
     def note_progress(self: Any, share: float, text: str) -> None:
         """Takes the progress of long work; goes out with the next heartbeat."""
         self._health = (DiagnosticStatus.OK, text, {"progress": f"{share:.2f}"})
@@ -117,7 +121,10 @@ class CellNodeMixin:
         level, message, details = self._health
         name = self.get_fully_qualified_name()
         status = DiagnosticStatus(level=level, name=name, message=message, hardware_id=self.NAME)
-        status.values = [KeyValue(key=key, value=str(value)) for key, value in details.items()]
+        status.values = [
+            KeyValue(key=key, value=str(value))
+            for key, value in {**details, **self.health_values()}.items()
+        ]
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)

@@ -8,7 +8,8 @@ from skinplan_msgs.msg import PartPose
 from skinplan.errors import ImageInvalidError, InputError, JobInvalidError
 from skinplan.inspection.model import Alignment, Inspection
 from skinplan.jobs.model import Job, JobRecord, JobState
-from skinplan.localization.model import CameraModel, Observation, WorkpiecePose
+from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
+from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import transform
 from skinplan_nodes import conversions as c
 
@@ -76,16 +77,37 @@ def test_camera_refuses():
 
 @pytest.mark.parametrize("count", [0, 2])
 def test_observations_round_trip(count):
-    wanted = tuple(
-        Observation(i, 0.1, np.zeros((4, 2)), transform((0, 0, i)), 0.1, 0.2, 1.0, 1.5, 0.9)
-        for i in range(count)
-    )
-    msg = c.observations_to_msg(wanted, "optical", 1.0, 0.05)
+    def marker(i):
+        return Observation(
+            id=i,
+            size_m=0.1,
+            corners=np.arange(8.0).reshape(4, 2),
+            corner_covariance=np.eye(8),
+            corner_floor_px=0.01,
+            T_camera_marker=transform((0, 0, i)),
+            covariance=np.diag(np.arange(1.0, 7.0)),
+            reprojection_error_px=0.1,
+            T_camera_second=transform((0, 1, i)),
+            second_error_px=0.5,
+            ambiguity_ratio=0.2,
+            distance_m=1.0,
+            angle_rad=1.5,
+            quality=0.9,
+        )
+
+    wanted = Sighting(tuple(marker(i) for i in range(count)), (7,), (8,), (9, 10))
+    settings = QualitySettings(alpha=0.4, threshold=0.8)
+    msg = c.observations_to_msg(wanted, settings, "optical", 1.0, 0.05)
     found = c.observations_from_msg(msg)
-    assert [o.id for o in found] == [o.id for o in wanted]
-    for a, b in zip(found, wanted, strict=True):
-        np.testing.assert_allclose(a.T_camera_marker, b.T_camera_marker, atol=1e-12)
+    assert (found.unknown, found.duplicates, found.mirrored) == ((7,), (8,), (9, 10))
+    assert [o.id for o in found.markers] == [o.id for o in wanted.markers]
+    for a, b, item in zip(found.markers, wanted.markers, msg.observations, strict=True):
+        for name in ("T_camera_marker", "T_camera_second", "covariance", "corners"):
+            np.testing.assert_allclose(getattr(a, name), getattr(b, name), atol=1e-12)
         assert (a.quality, a.distance_m, a.angle_rad) == (b.quality, b.distance_m, b.angle_rad)
+        assert (item.alpha, item.quality_threshold, item.image_age) == (0.4, 0.8, 0.05)
+        assert item.facing == pytest.approx(np.sin(1.5))
+        assert item.nearness == pytest.approx(2.0 / 2.3)
     msg.header.frame_id = ""
     with pytest.raises(InputError, match="optical frame"):
         c.observations_from_msg(msg)

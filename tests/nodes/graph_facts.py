@@ -130,6 +130,8 @@ def _actions(node: Any, role: str, query: Any) -> list[Endpoint]:
 
 
 def _is_common(end: Endpoint, node: str) -> bool:
+    if "/_action/" in end.name:  # parts of an action, which is listed as a whole
+        return True
     last = end.name.rsplit("/", 1)[-1]
     own = end.name == f"{node}/{last}"
     return end.name in _COMMON.get(end.role, ()) or (own and last in _LIFECYCLE | _PARAMETERS)

@@ -14,6 +14,12 @@ from tf2_msgs.msg import TFMessage
 
 from nodes.bench import Bench
 from nodes.small_part import reference
+from skinplan.errors import (
+    FrameMissingError,
+    LocalizationCancelledError,
+    NoImageError,
+    StaleImageError,
+)
 from skinplan.mock.truth import Truth
 from skinplan.part.files import load_part
 from skinplan.part.model import Part
@@ -33,7 +39,7 @@ from skinplan_nodes.conversions import (
 from skinplan_nodes.mock_camera import MockCamera
 from skinplan_nodes.mock_mir100 import MockMir100
 from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
-from skinplan_nodes.replies import RefusedError
+from skinplan_nodes.replies import status_of
 
 CELL = CellConfig()
 
@@ -262,21 +268,21 @@ def test_an_image_from_before_the_last_motion_is_stale() -> None:
         moved(frames, x_m, stamp_s)
     assert frames.moved_s == 11.0
     feed = feed_of(frames)
-    with pytest.raises(RefusedError, match="no image") as missing:
+    with pytest.raises(NoImageError, match="no image") as missing:
         feed.look(0.0, lambda: False)
-    assert missing.value.code == Status.NO_IMAGE
+    assert status_of(missing.value).code == Status.NO_IMAGE
     image_at(feed, 11.4)
-    with pytest.raises(RefusedError, match=r"the base moved until 11\.000 s") as stale:
+    with pytest.raises(StaleImageError, match=r"the base moved until 11\.000 s") as stale:
         feed.look(0.0, lambda: False)
-    assert stale.value.code == Status.STALE_IMAGE
+    assert status_of(stale.value).code == Status.STALE_IMAGE
     image_at(feed, 11.6)
     assert feed.look(0.0, lambda: False).stamp_s == pytest.approx(11.6)
-    with pytest.raises(RefusedError) as same:
+    with pytest.raises(StaleImageError) as same:
         feed.look(11.6, lambda: False)
-    assert same.value.code == Status.STALE_IMAGE
-    with pytest.raises(RefusedError) as stopped:
+    assert status_of(same.value).code == Status.STALE_IMAGE
+    with pytest.raises(LocalizationCancelledError) as stopped:
         feed.look(11.6, lambda: True)
-    assert stopped.value.code == Status.LOCALIZATION_CANCELLED
+    assert status_of(stopped.value).code == Status.LOCALIZATION_CANCELLED
 
 
 def test_frames_refuse_transforms_that_are_none() -> None:
@@ -285,9 +291,9 @@ def test_frames_refuse_transforms_that_are_none() -> None:
     edge.transform.rotation.w = 0.0
     (reason,) = frames.take(TFMessage(transforms=[edge]))
     assert "length 0" in reason
-    with pytest.raises(RefusedError) as unknown:
+    with pytest.raises(FrameMissingError) as unknown:
         frames.lookup("map", "base_link")
-    assert unknown.value.code == Status.NO_TRANSFORM
+    assert status_of(unknown.value).code == Status.NO_TRANSFORM
     T = transform((1, 2, 3))
     frames.take(TFMessage(transforms=[transform_stamped_to_msg("a", "b", T)]))
     np.testing.assert_allclose(frames.lookup("b", "a"), inverse(T))

@@ -1,4 +1,4 @@
-"""The chain of eq (1): from the camera to the workpiece in the arm base, covariance carried along."""
+"""Eq (1): from the camera to the workpiece in the arm base, covariance carried along."""
 
 from dataclasses import dataclass
 

@@ -21,7 +21,7 @@ CORNER_FINDERS = ("lines", "subpix")
 _SAME_MARKER = 0.5
 # Windows of the adaptive threshold: the small one for far markers, the large one for near ones.
 # OpenCV's own third one costs a third of the time and finds nothing more.
-_WINDOWS_PX = (5, 29)
+_WINDOWS_PX = (3, 29)
 # Half window of `cornerSubPix`, of markers whose edges can't be fitted.
 _SUBPIX_PX = 3
 _SUBPIX_SHARE = 0.04
@@ -174,9 +174,7 @@ def _subpix(grey: NDArray[np.uint8], corners: Array) -> Array:
     return np.asarray(found.reshape(4, 2), dtype=float)
 
 
-def _unique(
-    ids: NDArray[np.int64], corners: Array
-) -> tuple[NDArray[np.int64], tuple[int, ...]]:
+def _unique(ids: NDArray[np.int64], corners: Array) -> tuple[NDArray[np.int64], tuple[int, ...]]:
     """Returns the finds to keep, one of a marker found twice, and the ids at several places."""
     keep, twice = [], []
     centres = corners.mean(axis=1)

@@ -164,8 +164,8 @@ def _crossings(
     if camera is not None:
         rays = corners / focal
         corners = project(np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2), camera)
-        enough &= np.isfinite(corners).all(axis=(1, 2))
-    enough &= np.isfinite(covariance).all(axis=(1, 2))
+        enough = np.logical_and(enough, np.isfinite(corners).all(axis=(1, 2)))
+    enough = np.logical_and(enough, np.isfinite(covariance).all(axis=(1, 2)))
     return corners, covariance, np.asarray(enough, dtype=bool)
 
 

@@ -192,16 +192,12 @@ def _agreed(
     return kept, _solution(best, 0), starts[order]
 
 
-def _second(
-    kept: _Bundle, pose: Array, starts: Array, camera: CameraModel
-) -> _Solution | None:
+def _second(kept: _Bundle, pose: Array, starts: Array, camera: CameraModel) -> _Solution | None:
     """Returns the best pose elsewhere; None = there is none."""
     away = [start for start in starts if difference(pose, start)[1] > SAME_POSE_RAD]
     if not away:
         return None
-    found = refine(
-        np.array(away[:_SECOND_TRIES]), kept.points, kept.pixels, kept.whiten, camera
-    )
+    found = refine(np.array(away[:_SECOND_TRIES]), kept.points, kept.pixels, kept.whiten, camera)
     others = [
         (float(found.error_px[k]), k)
         for k in range(len(found.poses))

@@ -39,6 +39,17 @@ def marker_quality(angle_rad: float, distance_m: float, settings: QualitySetting
     Raises:
         InputError: An argument is not finite or out of range, or d_max is not above d_min.
     """
+    facing, nearness = quality_parts(angle_rad, distance_m, settings)
+    return settings.alpha * facing + (1.0 - settings.alpha) * nearness
+
+
+def quality_parts(
+    angle_rad: float, distance_m: float, settings: QualitySettings
+) -> tuple[float, float]:
+    """Returns the two parts that eq (3) weighs: sin(theta) and (d_max - d) / (d_max - d_min).
+
+    Arguments and errors as `marker_quality`.
+    """
     near, far = settings.distance_min_m, settings.distance_max_m
     if not 0.0 <= settings.alpha <= 1.0 or not 0.0 < near < far:
         raise InputError(
@@ -50,4 +61,4 @@ def marker_quality(angle_rad: float, distance_m: float, settings: QualitySetting
             f"eq (3) takes theta in [0, pi/2] and d >= 0, found {angle_rad} rad and {distance_m} m"
         )
     closeness = (far - float(np.clip(distance_m, near, far))) / (far - near)
-    return float(settings.alpha * np.sin(angle_rad) + (1.0 - settings.alpha) * closeness)
+    return float(np.sin(angle_rad)), closeness

@@ -190,7 +190,11 @@ def _linearised(
     seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
     projected, by_point = project_with_derivative(seen, camera)
     by_turn = np.zeros((*arm.shape, 3))
-    by_turn[..., 0, 1], by_turn[..., 0, 2], by_turn[..., 1, 2] = arm[..., 2], -arm[..., 1], arm[..., 0]
+    by_turn[..., 0, 1], by_turn[..., 0, 2], by_turn[..., 1, 2] = (
+        arm[..., 2],
+        -arm[..., 1],
+        arm[..., 0],
+    )
     by_turn -= by_turn.swapaxes(-1, -2)
     jacobian = np.concatenate([by_point, by_point @ by_turn], axis=-1)
     jacobian = whiten @ jacobian.reshape(count, markers, 8, 6)

@@ -57,6 +57,11 @@ _TRACKER = {
     "cone_rad": (0.01, 3.2, "half an angle in [0.01, 3.2] [rad]"),
     "ring_radius_m": (0.0, 1.0, "a number in [0, 1] [m]"),
 }
+_MOUNTING = {
+    "mounting_error_m": (0.0, 0.1, "a number in [0, 0.1] [m]"),
+    "mounting_error_rad": (0.0, 0.1, "a number in [0, 0.1] [rad]"),
+}
+_CORNER_FINDERS = ("lines", "subpix")
 _MOST_OBSTACLES = 100
 _KEYS = [m.name for m in members(CellConfig) if m.name != "propose_tracker"]
 _POSES = ("T_base_link_arm_base", "T_tool0_scanner", "T_map_tracker", "T_map_work")
@@ -173,9 +178,18 @@ def _read_camera(fields: Fields) -> CameraConfig:
         if values["K"][0, 0] <= 0.0 or values["K"][1, 1] <= 0.0:
             raise inner.error("K", str(inner.values["K"]), accepted)
     if inner.has("D"):
-        values["D"] = inner.vector("D", 5, "five distortion coefficients (plumb_bob)")
+        accepted = "distortion coefficients, five (plumb_bob) or eight (rational_polynomial)"
+        given = inner.values["D"]
+        count = 8 if isinstance(given, list) and len(given) == 8 else 5
+        values["D"] = inner.vector("D", count, accepted)
     if inner.has("T_base_link_camera_link"):
         values["T_base_link_camera_link"] = inner.pose("T_base_link_camera_link")
+    values |= {key: inner.number(key, *_MOUNTING[key]) for key in _MOUNTING if inner.has(key)}
+    if inner.has("corners"):
+        accepted = f"one of {', '.join(_CORNER_FINDERS)}"
+        values["corners"] = inner.text("corners", accepted)
+        if values["corners"] not in _CORNER_FINDERS:
+            raise inner.error("corners", repr(values["corners"]), accepted)
     return CameraConfig(**values)
 
 

@@ -27,9 +27,13 @@ class CameraConfig:
         width: Image width [px].
         height: Image height [px].
         K: Camera matrix, shape (3, 3) [px].
-        D: Distortion coefficients of model ``plumb_bob``, shape (5,).
+        D: Distortion coefficients, shape (5,) of model ``plumb_bob`` or (8,) of model
+            ``rational_polynomial``.
         T_base_link_camera_link: Hand-eye calibration, shape (4, 4) [m]: the camera stands on the
             base and looks to the left.
+        mounting_error_m: Standard deviation of that calibration's translation, each axis [m].
+        mounting_error_rad: ... and of its rotation [rad].
+        corners: How corners of markers are found: ``lines`` or ``subpix``.
     """
 
     width: int = 1280
@@ -43,6 +47,9 @@ class CameraConfig:
     T_base_link_camera_link: Array = field(
         default_factory=lambda: transform((0.30, -0.20, 0.45), _TURN_LEFT)
     )
+    mounting_error_m: float = 0.0
+    mounting_error_rad: float = 0.0
+    corners: str = "lines"
 
     @property
     def T_base_link_optical(self) -> Array:

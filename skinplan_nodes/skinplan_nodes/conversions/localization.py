@@ -1,17 +1,18 @@
 """Camera, images, markers, pose of the part."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-
+import cv2
 import numpy as np
 from geometry_msgs.msg import PoseWithCovariance
 from numpy.typing import NDArray
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from skinplan_msgs import msg as messages
 
 from skinplan.errors import ImageInvalidError, InputError
-from skinplan.localization.model import CameraModel, Observation, WorkpiecePose
-from skinplan.transforms import Array
+from skinplan.localization.camera import require_camera
+from skinplan.localization.chain import LocatedPart
+from skinplan.localization.model import CameraModel, Observation, Sighting
+from skinplan.localization.quality import quality_parts
+from skinplan.robot.cell import QualitySettings
 from skinplan_nodes.conversions.geometry import (
     header_to_msg,
     pose_from_msg,
@@ -21,49 +22,8 @@ from skinplan_nodes.conversions.geometry import (
 )
 
 _CHANNELS = {"mono8": 1, "8UC1": 1, "bgr8": 3, "rgb8": 3}
-_MODEL = "plumb_bob"
-
-
-@dataclass(frozen=True, eq=False)
-class LocatedPart:
-    """Where the part is, as seen from one stand of the base.
-
-    Attributes:
-        T_arm_base_workpiece: shape (4, 4) [m].
-        covariance: shape (6, 6), x y z [m] rx ry rz [rad] in arm_base.
-        quality: E of eq (3).
-        reprojection_error_px: Root mean square over all corners used [px].
-        marker_ids: Markers used, shape (m,).
-        stamp_s: Time of the image [s].
-    """
-
-    T_arm_base_workpiece: Array
-    covariance: Array
-    quality: float
-    reprojection_error_px: float
-    marker_ids: NDArray[np.int64]
-    stamp_s: float
-
-    @classmethod
-    def from_camera(
-        cls, pose: WorkpiecePose, T_arm_base_camera: Array, stamp_s: float
-    ) -> "LocatedPart":
-        """Maps a pose from the camera's optical frame to the arm base, eq (1).
-
-        Args:
-            pose: In the optical frame.
-            T_arm_base_camera: Hand-eye calibration, shape (4, 4) [m].
-            stamp_s: Time of the image [s].
-        """
-        turn = np.kron(np.eye(2), T_arm_base_camera[:3, :3])
-        return cls(
-            T_arm_base_camera @ pose.T_camera_workpiece,
-            turn @ pose.covariance @ turn.T,
-            pose.quality,
-            pose.reprojection_error_px,
-            pose.marker_ids,
-            stamp_s,
-        )
+_MODELS = ("plumb_bob", "rational_polynomial")
+_LARGEST_BYTES = 50_000_000
 
 
 def camera_info_to_msg(camera: CameraModel, frame: str, stamp_s: float = 0.0) -> CameraInfo:
@@ -73,7 +33,7 @@ def camera_info_to_msg(camera: CameraModel, frame: str, stamp_s: float = 0.0) ->
         header=header_to_msg(frame, stamp_s),
         width=camera.width,
         height=camera.height,
-        distortion_model=_MODEL,
+        distortion_model=_MODELS[1] if len(camera.D) == 8 else _MODELS[0],
         d=np.asarray(camera.D, dtype=float).tolist(),
         k=np.asarray(camera.K, dtype=float).ravel().tolist(),
         r=np.eye(3).ravel().tolist(),
@@ -81,32 +41,34 @@ def camera_info_to_msg(camera: CameraModel, frame: str, stamp_s: float = 0.0) ->
     )
 
 
-def camera_info_from_msg(msg: CameraInfo) -> CameraModel:
+def camera_info_from_msg(msg: CameraInfo, rectified: bool = False) -> CameraModel:
     """Returns a camera model.
+
+    Args:
+        msg: The message; its region of interest and binning are taken into account.
+        rectified: The images are rectified: K is that of the projection, there is no distortion.
 
     Raises:
         ImageInvalidError: No size, another distortion model, numbers that are not finite, or no
             calibration.
     """
-    K, D = np.array(msg.k, dtype=float).reshape(3, 3), np.array(msg.d, dtype=float)
-    if msg.distortion_model not in ("", _MODEL):
+    full = np.array(msg.k, dtype=float).reshape(3, 3)
+    D = np.array(msg.d, dtype=float)
+    if rectified:
+        full, D = np.array(msg.p, dtype=float).reshape(3, 4)[:, :3], np.zeros(0)
+    elif msg.distortion_model not in ("", *_MODELS):
         raise ImageInvalidError(
-            f"camera info: distortion model {_MODEL} is accepted, found {msg.distortion_model!r}"
+            f"camera info: the distortion models {', '.join(_MODELS)} are accepted, found "
+            f"{msg.distortion_model!r}"
         )
-    if (
-        msg.width == 0
-        or msg.height == 0
-        or len(D) not in (0, 5)
-        or not (K[0, 0] > 0 and K[1, 1] > 0)
-    ):
-        raise ImageInvalidError(
-            f"camera info: a size, a focal length above 0 and 5 distortion coefficients or none "
-            f"are accepted, found {msg.width} x {msg.height} px, focal lengths {K[0, 0]:g} and "
-            f"{K[1, 1]:g} px, {len(D)} coefficients"
-        )
-    if not (np.isfinite(K).all() and np.isfinite(D).all()):
-        raise ImageInvalidError("camera info: finite numbers are accepted, found others")
-    return CameraModel(msg.width, msg.height, K, D)
+    binning = np.maximum([msg.binning_x, msg.binning_y], 1)
+    offset = np.array([msg.roi.x_offset, msg.roi.y_offset])
+    size = np.array([msg.roi.width or msg.width, msg.roi.height or msg.height]) // binning
+    K = full.copy()
+    K[:2] /= binning[:, None]
+    # The middle of the first pixel of a binned image is not that of the first full one.
+    K[:2, 2] = (full[:2, 2] - offset + 0.5) / binning - 0.5
+    return require_camera(CameraModel(int(size[0]), int(size[1]), K, D))
 
 
 def image_to_msg(image: NDArray[np.uint8], frame: str, stamp_s: float = 0.0) -> Image:
@@ -150,53 +112,121 @@ def image_from_msg(msg: Image) -> NDArray[np.uint8]:
     pixels = rows[:, : msg.width * channels].reshape(msg.height, msg.width, channels)
     if channels == 1:
         return pixels[:, :, 0]
-    return pixels[:, :, ::-1] if msg.encoding == "rgb8" else pixels
+    if msg.encoding == "rgb8":
+        return np.asarray(cv2.cvtColor(pixels, cv2.COLOR_RGB2BGR), dtype=np.uint8)
+    return pixels
+
+
+def compressed_image_from_msg(msg: CompressedImage) -> NDArray[np.uint8]:
+    """Returns an image from a compressed one (JPEG or PNG), shape (h, w) grey or (h, w, 3) BGR.
+
+    Raises:
+        ImageInvalidError: Nothing in it, far too much, or no image of 8 bit.
+    """
+    data = np.frombuffer(msg.data, dtype=np.uint8)
+    if not 0 < data.size <= _LARGEST_BYTES:
+        raise ImageInvalidError(
+            f"compressed image: 1 to {_LARGEST_BYTES} bytes are accepted, found {data.size}"
+        )
+    try:
+        image = cv2.imdecode(data, cv2.IMREAD_UNCHANGED)
+    except cv2.error:
+        image = None
+    if image is None or image.dtype != np.uint8:
+        raise ImageInvalidError(
+            f"compressed image: JPEG or PNG of 8 bit is accepted, found {data.size} bytes of "
+            f"format {msg.format!r} that are none"
+        )
+    if image.ndim == 3 and image.shape[2] == 4:
+        return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGRA2BGR), dtype=np.uint8)
+    return np.asarray(image, dtype=np.uint8)
 
 
 def observations_to_msg(
-    observations: Sequence[Observation], frame: str, stamp_s: float = 0.0, image_age_s: float = 0.0
+    sighting: Sighting,
+    settings: QualitySettings,
+    frame: str,
+    stamp_s: float = 0.0,
+    image_age_s: float = 0.0,
 ) -> messages.MarkerObservations:
-    """Converts the markers of one image."""
+    """Converts what one image shows.
+
+    Args:
+        sighting: What it shows.
+        settings: Figures of eq (3) that its markers were judged by.
+        frame: Optical frame of the camera.
+        stamp_s: Time of the image [s].
+        image_age_s: Its age when it was evaluated [s].
+    """
     return messages.MarkerObservations(
         header=header_to_msg(frame, stamp_s),
         observations=[
-            messages.MarkerObservation(
-                id=item.id,
-                size=item.size_m,
-                pose=pose_to_msg(item.T_camera_marker),
-                reprojection_error=item.reprojection_error_px,
-                ambiguity_ratio=item.ambiguity_ratio,
-                distance=item.distance_m,
-                angle=item.angle_rad,
-                quality=item.quality,
-            )
-            for item in observations
+            _observation_to_msg(item, settings, image_age_s) for item in sighting.markers
         ],
+        unknown_ids=list(sighting.unknown),
+        duplicate_ids=list(sighting.duplicates),
+        mirrored_ids=list(sighting.mirrored),
         image_age=image_age_s,
     )
 
 
-def observations_from_msg(msg: messages.MarkerObservations) -> tuple[Observation, ...]:
-    """Returns the markers of one image; their corners are not in the message and are NaN.
+def _observation_to_msg(
+    item: Observation, settings: QualitySettings, image_age_s: float
+) -> messages.MarkerObservation:
+    facing, nearness = quality_parts(item.angle_rad, item.distance_m, settings)
+    return messages.MarkerObservation(
+        id=item.id,
+        size=item.size_m,
+        corners=item.corners.ravel().tolist(),
+        pose=PoseWithCovariance(
+            pose=pose_to_msg(item.T_camera_marker), covariance=item.covariance.ravel().tolist()
+        ),
+        reprojection_error=item.reprojection_error_px,
+        second_pose=pose_to_msg(item.T_camera_second),
+        second_reprojection_error=item.second_error_px,
+        ambiguity_ratio=item.ambiguity_ratio,
+        distance=item.distance_m,
+        angle=item.angle_rad,
+        facing=facing,
+        nearness=nearness,
+        quality=item.quality,
+        alpha=settings.alpha,
+        distance_min=settings.distance_min_m,
+        distance_max=settings.distance_max_m,
+        quality_threshold=settings.threshold,
+        image_age=image_age_s,
+    )
+
+
+def observations_from_msg(msg: messages.MarkerObservations) -> Sighting:
+    """Returns what one image shows; how well the corners are known is not in the message (NaN).
 
     Raises:
         InputError: No frame, or a pose that is none.
     """
     if not msg.header.frame_id:
         raise InputError("marker observations: the camera's optical frame is accepted, found none")
-    return tuple(
+    markers = tuple(
         Observation(
-            item.id,
-            item.size,
-            np.full((4, 2), np.nan),
-            pose_from_msg(item.pose),
-            item.reprojection_error,
-            item.ambiguity_ratio,
-            item.distance,
-            item.angle,
-            item.quality,
+            id=item.id,
+            size_m=item.size,
+            corners=np.array(item.corners, dtype=float).reshape(4, 2),
+            corner_covariance=np.full((8, 8), np.nan),
+            corner_floor_px=float("nan"),
+            T_camera_marker=pose_from_msg(item.pose.pose),
+            covariance=np.array(item.pose.covariance, dtype=float).reshape(6, 6),
+            reprojection_error_px=item.reprojection_error,
+            T_camera_second=pose_from_msg(item.second_pose),
+            second_error_px=item.second_reprojection_error,
+            ambiguity_ratio=item.ambiguity_ratio,
+            distance_m=item.distance,
+            angle_rad=item.angle,
+            quality=item.quality,
         )
         for item in msg.observations
+    )
+    return Sighting(
+        markers, tuple(msg.unknown_ids), tuple(msg.duplicate_ids), tuple(msg.mirrored_ids)
     )
 
 

@@ -166,7 +166,8 @@ class RosCell:
 
     def localize(self, job: Job, may_move: bool) -> Located:
         """Locates the part."""
-        goal = LocalizePart.Goal(part=_reference(job), may_move=may_move)
+        # A job's first look is the one that may move; between its stations the part stands still.
+        goal = LocalizePart.Goal(part=_reference(job), may_move=may_move, new_place=may_move)
         result, reached = self._act(
             LocalizePart, goal, self._values.localize_timeout_s, "aruco_localizer"
         )
