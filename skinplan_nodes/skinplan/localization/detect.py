@@ -88,6 +88,7 @@ class MarkerDetector:
             parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         self._parameters = parameters
         self._detector = cv2.aruco.ArucoDetector(self._book, parameters)
+        self._plain = cv2.aruco.ArucoDetector(self._book)
 
     def find(
         self,
@@ -141,11 +142,11 @@ class MarkerDetector:
         self._parameters.minMarkerPerimeterRate = min(rate, 3.0)
         self._detector.setDetectorParameters(self._parameters)
         found, found_ids, rejected = self._detector.detectMarkers(np.ascontiguousarray(window))
-        mirrored = mirrored_ids(window, rejected, self._book)
-        if found_ids is None or len(found_ids) == 0:
+        corners = np.asarray(found, dtype=float).reshape(-1, 4, 2)
+        mirrored = mirrored_ids(window, rejected, corners, self._plain)
+        if len(corners) == 0:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), mirrored
-        corners = np.asarray(found, dtype=float).reshape(-1, 4, 2) + (left, top)
-        return np.asarray(found_ids, dtype=np.int64).ravel(), corners, mirrored
+        return np.asarray(found_ids, dtype=np.int64).ravel(), corners + (left, top), mirrored
 
     def _refined(
         self, grey: NDArray[np.uint8], corners: Array, camera: CameraModel | None

@@ -158,14 +158,14 @@ def _crossings(
         straight = undistorted(points.reshape(-1, 2), camera).reshape(points.shape) * focal
     lines, scatter, enough = _lines(straight, good)
     corners = _intersections(lines)
-    enough = enough.all(axis=1) & np.isfinite(corners).all(axis=(1, 2))
+    enough = np.asarray(enough.all(axis=1) & np.isfinite(corners).all(axis=(1, 2)))
     corners = np.nan_to_num(corners)
     covariance = _corner_covariance(corners, lines, scatter, good)
     if camera is not None:
         rays = corners / focal
         corners = project(np.concatenate([rays, np.ones((*rays.shape[:2], 1))], axis=2), camera)
-        enough = np.logical_and(enough, np.isfinite(corners).all(axis=(1, 2)))
-    enough = np.logical_and(enough, np.isfinite(covariance).all(axis=(1, 2)))
+        enough = np.asarray(enough & np.isfinite(corners).all(axis=(1, 2)))
+    enough = np.asarray(enough & np.isfinite(covariance).all(axis=(1, 2)))
     return corners, covariance, np.asarray(enough, dtype=bool)
 
 

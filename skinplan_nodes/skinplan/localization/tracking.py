@@ -68,6 +68,8 @@ class MarkerTracker:
         last = self._last
         if last is None or not last.markers or self._since_whole + 1 >= _WHOLE_EVERY:
             return None
+        if last.duplicates or last.mirrored:
+            return None
         windows = _merged([_window(item.corners, width, height) for item in last.markers])
         area = sum((right - left) * (bottom - top) for left, top, right, bottom in windows)
         return windows if area <= _LARGEST_SHARE * width * height else None

@@ -28,12 +28,15 @@ class BaseConfig:
         turn_speed_rad_s: Greatest speed of turning on the spot [rad/s].
         turn_acceleration_rad_s2: Of turning [rad/s^2].
         goal_distance_max_m: Goals farther away are refused [m].
+        slip_probability: Share of the drives in which the wheels slip [1]: the base covers only a
+            part of the way, and goes on as if it had covered all of it.
     """
 
     acceleration_m_s2: float = 0.5
     turn_speed_rad_s: float = 1.0
     turn_acceleration_rad_s2: float = 1.0
     goal_distance_max_m: float = 50.0
+    slip_probability: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -86,6 +89,8 @@ class MockBase:
         self._rest = _floor_pose(start, "start pose of the base")
         self._error_from = self._draw_error()
         self._error_to = self._error_from
+        # What slips have cost so far, along the map's axes; odometry never notices.
+        self._slip_from = self._slip_to = np.zeros(2)
 
     @property
     def believed(self) -> Array:
@@ -97,8 +102,11 @@ class MockBase:
         """Where the base stands: ``T_map_base_link``, shape (4, 4) [m]."""
         elapsed, duration = self._now_s - self._started_s, self._duration
         share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
-        return self.believed @ planar(
-            *(self._error_from + share * (self._error_to - self._error_from))
+        slip = self._slip_from + share * (self._slip_to - self._slip_from)
+        return (
+            planar(slip[0], slip[1], 0.0)
+            @ self.believed
+            @ planar(*(self._error_from + share * (self._error_to - self._error_from)))
         )
 
     @property
@@ -189,6 +197,8 @@ class MockBase:
         elapsed, duration = self._now_s - self._started_s, self._duration
         share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
         self._error_from = self._error_from + share * (self._error_to - self._error_from)
+        self._slip_from = self._slip_from + share * (self._slip_to - self._slip_from)
+        self._slip_to = self._slip_from + self._draw_slip(legs)
         self._legs, self._rest, self._started_s = legs, rest, self._now_s
         self._error_to = self._draw_error() if legs else self._error_from
         log.debug("base: %d legs, %.2f s to %s", len(legs), self._duration, rest)
@@ -231,6 +241,17 @@ class MockBase:
                 return leg.at(elapsed)
             elapsed -= leg.profile.duration
         return self._rest, 0.0, 0.0
+
+    def _draw_slip(self, legs: list[_Leg]) -> Array:
+        """Returns what is lost of a motion along the map's axes, shape (2,) [m]."""
+        if self._config.slip_probability <= 0.0 or not any(leg.drive for leg in legs):
+            return np.zeros(2)
+        slips = self._random.uniform() < self._config.slip_probability
+        share = self._random.uniform() if slips else 0.0
+        driven = [leg for leg in legs if leg.drive]
+        ends = [leg.at(leg.profile.duration)[0] for leg in driven]
+        ways = [np.subtract(e[:2], leg.start[:2]) for e, leg in zip(ends, driven, strict=True)]
+        return np.asarray(-share * np.sum(ways, axis=0), dtype=float)
 
     def _draw_error(self) -> Array:
         radius = self._cell.base_error_m * np.sqrt(self._random.uniform())

@@ -72,7 +72,9 @@ class MockCamera:
     ) -> None:
         self._camera = camera_model(camera)
         self._plates = tuple(
-            _plate(fixture.dictionary, marker, fixture.T_workpiece_marker(marker.id))
+            _plate(
+                fixture.dictionary, marker, fixture.T_workpiece_fixture @ marker.T_fixture_marker
+            )
             for marker in fixture.markers
         )
         self._blur_px = blur_px

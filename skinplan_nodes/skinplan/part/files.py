@@ -38,34 +38,21 @@ from typing import Any
 
 import yaml
 
-from skinplan.errors import MeshHashError, PartInvalidError, PartNotFoundError
+from skinplan.errors import MeshHashError, PartInvalidError
 from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import UNITS_M, file_sha256, load_mesh
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.fields import Fields, pose_fields
+from skinplan.part.fixture_file import read_fixture, read_yaml
 from skinplan.part.inspection_points import InspectionPoints
-from skinplan.part.model import Fixture, Marker, Part, ScanSettings
+from skinplan.part.model import Part, ScanSettings
 from skinplan.part.points_file import read_points, write_points
 from skinplan.part.settings import read_settings, settings_fields
-from skinplan.transforms import Array, transform
+from skinplan.transforms import Array
 
-MARKER_COUNTS = {
-    **{
-        f"DICT_{size}X{size}_{count}": count
-        for size in (4, 5, 6, 7)
-        for count in (50, 100, 250, 1000)
-    },
-    "DICT_ARUCO_ORIGINAL": 1024,
-    "DICT_APRILTAG_16h5": 30,
-    "DICT_APRILTAG_25h9": 35,
-    "DICT_APRILTAG_36h10": 2320,
-    "DICT_APRILTAG_36h11": 587,
-    "DICT_ARUCO_MIP_36h12": 250,
-}
 _ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _KEYS = ("id", "mesh", "points", "fixture", "placement", "scan")
-_LARGEST_FILE_BYTES = 1_000_000
 
 
 def load_part(path: Path | str) -> Part:
@@ -85,7 +72,7 @@ def load_part(path: Path | str) -> Part:
         MeshError: The mesh is missing, can't be read, or has another hash.
     """
     file = Path(path)
-    fields = Fields(_read_yaml(file), "", file.name, _KEYS)
+    fields = Fields(read_yaml(file), "", file.name, _KEYS)
     part_id = fields.text("id")
     if not _ID.fullmatch(part_id):
         raise fields.error("id", repr(part_id), "1 to 64 letters, digits, '_', '.' or '-'")
@@ -101,7 +88,9 @@ def load_part(path: Path | str) -> Part:
         mesh_path=mesh_path,
         unit=unit,
         mesh_sha256=digest,
-        fixture=_read_fixture(fields) if fields.has("fixture") else default_fixture(_box(bounds)),
+        fixture=read_fixture(fields, file.parent)
+        if fields.has("fixture")
+        else default_fixture(_box(bounds)),
         T_map_workpiece=fields.pose("placement")
         if fields.has("placement")
         else default_placement(_box(bounds)),
@@ -181,26 +170,6 @@ def _read_points(
     return read_points((folder / name).resolve(), unit, mesh)
 
 
-def _read_yaml(file: Path) -> object:
-    if not file.is_file():
-        raise PartNotFoundError(
-            f"no part file at {file}; the path of an existing part.yaml is accepted"
-        )
-    try:
-        if file.stat().st_size > _LARGEST_FILE_BYTES:
-            raise PartInvalidError(
-                f"{file.name}: a part file of {file.stat().st_size} bytes was found; up to "
-                f"{_LARGEST_FILE_BYTES} "
-                "are accepted (is it a mesh?)"
-            )
-        return yaml.safe_load(file.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, yaml.YAMLError, ValueError, RecursionError) as error:
-        reason = " ".join(str(error).split())
-        raise PartInvalidError(
-            f"{file.name}: YAML text is accepted, but it can't be read: {reason}"
-        ) from error
-
-
 def _read_mesh(fields: Fields, folder: Path) -> tuple[Path, str, str]:
     values: Any = fields.values.get("mesh")
     mesh = Fields(values, "mesh", fields.source, ("file", "unit", "sha256"))
@@ -219,39 +188,6 @@ def _read_mesh(fields: Fields, folder: Path) -> tuple[Path, str, str]:
                 "the new hash"
             )
     return path, unit, digest
-
-
-def _read_fixture(fields: Fields) -> Fixture:
-    fixture = Fields(
-        fields.values["fixture"],
-        "fixture",
-        fields.source,
-        ("dictionary", "pose_in_workpiece", "markers"),
-    )
-    dictionary = fixture.text("dictionary", "the name of an ArUco dictionary")
-    if dictionary not in MARKER_COUNTS:
-        raise fixture.error("dictionary", repr(dictionary), f"one of {', '.join(MARKER_COUNTS)}")
-    pose = fixture.pose("pose_in_workpiece") if fixture.has("pose_in_workpiece") else transform()
-    entries = fixture.values.get("markers")
-    if not isinstance(entries, list) or not entries:
-        raise fixture.error("markers", "none", "a list of at least one marker")
-    markers = tuple(
-        _read_marker(entry, f"fixture.markers[{number}]", fields.source, MARKER_COUNTS[dictionary])
-        for number, entry in enumerate(entries)
-    )
-    ids = [marker.id for marker in markers]
-    if len(set(ids)) < len(ids):
-        raise fixture.error("markers", f"the ids {ids}", "every id once")
-    return Fixture(dictionary, pose, markers)
-
-
-def _read_marker(entry: object, place: str, source: str, count: int) -> Marker:
-    marker = Fields(entry, place, source, ("id", "size_m", "pose_in_fixture"))
-    return Marker(
-        id=marker.integer("id", 0, count - 1),
-        size_m=marker.number("size_m", 0.005, 2.0, "the side of the black square, 0.005 to 2 [m]"),
-        T_fixture_marker=marker.pose("pose_in_fixture"),
-    )
 
 
 def _box(bounds: Array | None) -> Array:
