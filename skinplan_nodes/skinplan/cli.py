@@ -12,6 +12,8 @@ import typer
 
 from skinplan import console
 from skinplan.cell_run import CellRun, RunRequest
+from skinplan.commands.calibrate import calibrate_camera
+from skinplan.commands.markers import markers
 from skinplan.contact.command import contact
 from skinplan.errors import InputError, MeshError, PartNotFoundError
 from skinplan.inspection.gaps import seen_points
@@ -39,6 +41,8 @@ app = typer.Typer(
     help="Plans and runs the 3-D measurement of large skins with a mobile manipulator.",
 )
 app.command()(contact)
+app.command()(markers)
+app.command("calibrate")(calibrate_camera)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
 

@@ -1,0 +1,1 @@
+"""Commands of ``skinplan`` that have a module of their own."""
