@@ -95,11 +95,12 @@ def test_observations_round_trip(count):
             quality=0.9,
         )
 
-    wanted = Sighting(tuple(marker(i) for i in range(count)), (7,), (8,), (9, 10))
+    wanted = Sighting(tuple(marker(i) for i in range(count)), (7,), (8,), (9, 10), (11,))
     settings = QualitySettings(alpha=0.4, threshold=0.8)
     msg = c.observations_to_msg(wanted, settings, "optical", 1.0, 0.05)
     found = c.observations_from_msg(msg)
-    assert (found.unknown, found.duplicates, found.mirrored) == ((7,), (8,), (9, 10))
+    assert (found.unknown, found.duplicates) == ((7,), (8,))
+    assert (found.mirrored, found.covered) == ((9, 10), (11,))
     assert [o.id for o in found.markers] == [o.id for o in wanted.markers]
     for a, b, item in zip(found.markers, wanted.markers, msg.observations, strict=True):
         for name in ("T_camera_marker", "T_camera_second", "covariance", "corners"):

@@ -12,6 +12,7 @@ from skinplan.errors import ImageInvalidError, PartInvalidError
 from skinplan.localization.edges import RefinedCorners, refine_corners
 from skinplan.localization.mirrored import mirrored_ids
 from skinplan.localization.model import CameraModel, Detection
+from skinplan.localization.print_check import fits_print
 from skinplan.transforms import Array
 
 log = logging.getLogger(__name__)
@@ -123,13 +124,15 @@ class MarkerDetector:
         order = np.argsort(ids)
         ids, corners = ids[order], corners[order]
         refined = self._refined(grey, corners, camera)
+        whole = fits_print(grey, ids, refined.corners, self._book)
         return Detection(
-            ids,
-            refined.corners,
-            refined.covariance,
-            refined.floor_px,
+            ids[whole],
+            refined.corners[whole],
+            refined.covariance[whole],
+            refined.floor_px[whole],
             duplicates,
             tuple(sorted(mirrored)),
+            tuple(ids[~whole].tolist()),
         )
 
     def _in_part(

@@ -65,6 +65,7 @@ def fuse(
         unknown=tuple(sorted({i for seen in sightings for i in seen.unknown})),
         duplicates=tuple(sorted(duplicates)),
         mirrored=tuple(sorted(mirrored)),
+        covered=tuple(sorted({i for seen in sightings for i in seen.covered} - set(kept))),
         images=sum(seen.images for seen in sightings),
     )
 

@@ -37,6 +37,7 @@ class Detection:
         floor_px: Part of it that does not get less with more images, of each marker, shape (m,).
         duplicates: Ids that are there at several places; they name no marker and are left out.
         mirrored: Ids that are there as their mirror image: printed or looked at the wrong way.
+        covered: Ids whose print does not lie where their corners say: something covers an edge.
     """
 
     ids: NDArray[np.int64]
@@ -45,6 +46,7 @@ class Detection:
     floor_px: Array
     duplicates: tuple[int, ...] = ()
     mirrored: tuple[int, ...] = ()
+    covered: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,6 +97,7 @@ class Sighting:
         unknown: Ids of the dictionary that are not of the fixture.
         duplicates: Ids of the fixture that are there several times; they are left out.
         mirrored: Ids of the fixture that are there mirrored; they are left out.
+        covered: Ids of the fixture that are partly hidden; they are left out.
         images: How many images it is made of.
     """
 
@@ -102,6 +105,7 @@ class Sighting:
     unknown: tuple[int, ...] = ()
     duplicates: tuple[int, ...] = ()
     mirrored: tuple[int, ...] = ()
+    covered: tuple[int, ...] = ()
     images: int = 1
 
 

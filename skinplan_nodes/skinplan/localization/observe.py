@@ -87,6 +87,7 @@ def judged(
         unknown=tuple(found.ids[~known].tolist()),
         duplicates=tuple(i for i in found.duplicates if i in own),
         mirrored=tuple(i for i in found.mirrored if i in own),
+        covered=tuple(i for i in found.covered if i in own),
     )
 
 

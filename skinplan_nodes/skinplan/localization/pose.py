@@ -142,8 +142,9 @@ def _usable(seen: Sighting, fixture: Fixture) -> tuple[Observation, ...]:
             if ids
         ]
         if not reasons:
+            partly = f"; markers {list(seen.covered)} are partly hidden" if seen.covered else ""
             raise NoMarkerError(
-                f"a marker of the fixture ({_names(fixture)}) was looked for, none was seen"
+                f"a marker of the fixture ({_names(fixture)}) was looked for, none was seen{partly}"
             )
         raise WrongMarkerError(
             f"{'; '.join(reasons)}; those of the fixture ({_names(fixture)}) are accepted, "

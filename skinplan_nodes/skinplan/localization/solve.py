@@ -16,6 +16,8 @@ _DAMPING = 1e-4
 _SMALLEST_STEP = 1e-9
 # Keeps the equations solvable where nothing can be derived.
 _LEAST_SCALE = 1e-9
+_LEAST_SHARE = 1e-6
+_DAMPING_RANGE = (1e-9, 1e12)
 # What a point behind the camera counts as [px].
 _BEHIND_PX = 1e4
 _BEHIND_WHITENED = 1e6
@@ -24,7 +26,7 @@ _LEAST_DEPTH_M = 1e-6
 # worse than their noise says (a bent print, a camera that is calibrated badly).
 _CHANCE = 0.999
 # Weight of the corners' own covariance against the residuals, as a count of observations.
-_PRIOR_COUNT = 20.0
+_PRIOR_COUNT = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,7 +147,7 @@ def refine(
         residual = np.where(better[:, None], new_residual, residual)
         jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
         cost = np.where(better, new_cost, cost)
-        damping = np.where(better, damping * 0.1, damping * 10.0)
+        damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), *_DAMPING_RANGE)
         if settled.all():
             break
     return _solutions(poses, jacobian, cost, points, pixels, camera)
@@ -170,7 +172,9 @@ def _solutions(
 
 def _step(residual: Array, jacobian: Array, damping: Array) -> Array:
     normal = jacobian.swapaxes(1, 2) @ jacobian
-    diagonal = np.maximum(np.einsum("bii->bi", normal), _LEAST_SCALE)
+    own = np.einsum("bii->bi", normal)
+    # A direction that the pixels hardly tell gets its share of the others' weight.
+    diagonal = np.maximum(own, _LEAST_SHARE * own.max(axis=1, keepdims=True) + _LEAST_SCALE)
     damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(6)
     gradient = np.einsum("bij,bi->bj", jacobian, residual)
     return np.asarray(-np.linalg.solve(damped, gradient[..., None])[..., 0])

@@ -166,6 +166,7 @@ def observations_to_msg(
         unknown_ids=list(sighting.unknown),
         duplicate_ids=list(sighting.duplicates),
         mirrored_ids=list(sighting.mirrored),
+        covered_ids=list(sighting.covered),
         image_age=image_age_s,
     )
 
@@ -226,7 +227,11 @@ def observations_from_msg(msg: messages.MarkerObservations) -> Sighting:
         for item in msg.observations
     )
     return Sighting(
-        markers, tuple(msg.unknown_ids), tuple(msg.duplicate_ids), tuple(msg.mirrored_ids)
+        markers,
+        tuple(msg.unknown_ids),
+        tuple(msg.duplicate_ids),
+        tuple(msg.mirrored_ids),
+        tuple(msg.covered_ids),
     )
 
 
