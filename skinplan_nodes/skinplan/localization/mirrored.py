@@ -13,6 +13,8 @@ _LEAST_SIDE_PX = 18.0
 # Of the largest ones; cluttered images have hundreds of quadrilaterals.
 _MOST_QUADS = 8
 _MARGIN_PX = 12
+# Sizes that are tried beside markers that were found, as share of theirs.
+_USUAL = (0.7, 2.0)
 
 
 def mirrored_ids(
@@ -36,6 +38,10 @@ def mirrored_ids(
     inside = (middles[None] > low[:, None]) & (middles[None] < high[:, None])
     sides = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
     free = (sides >= _LEAST_SIDE_PX) & ~inside.all(axis=2).any(axis=1)
+    if len(found) > 0:
+        # The others of a fixture look about as large; their white plate is what is rejected.
+        usual = float(np.median(np.linalg.norm(found[:, 0] - found[:, 1], axis=1)))
+        free &= (sides > _USUAL[0] * usual) & (sides < _USUAL[1] * usual)
     order = [k for k in np.argsort(-sides, kind="stable") if free[k]][:_MOST_QUADS]
     ids: set[int] = set()
     for k in order:

@@ -17,6 +17,7 @@ _SMALLEST_STEP = 1e-9
 # Keeps the equations solvable where nothing can be derived.
 _LEAST_SCALE = 1e-9
 _LEAST_SHARE = 1e-6
+_RIDGE = 1e-14
 _DAMPING_RANGE = (1e-9, 1e12)
 # What a point behind the camera counts as [px].
 _BEHIND_PX = 1e4
@@ -160,13 +161,14 @@ def _solutions(
     usual = (_PRIOR_COUNT + cost) / (_PRIOR_COUNT + free)
     growth = np.where(cost > chi2.ppf(_CHANCE, free), cost / free, usual)
     normal = jacobian.swapaxes(1, 2) @ jacobian
-    covariance = growth[:, None, None] * np.linalg.pinv(normal, hermitian=True)
-    errors = np.array(
-        [
-            marker_errors(pose[None], place, pixel, camera)[0]
-            for pose, place, pixel in zip(poses, points, pixels, strict=True)
-        ]
-    )
+    # The ridge keeps a pose invertible of which the pixels tell nothing; it is far below any other.
+    ridge = np.einsum("bii->b", normal)[:, None, None] * _RIDGE + _LEAST_SCALE
+    covariance = growth[:, None, None] * np.linalg.inv(normal + ridge * np.eye(6))
+    seen = _placed(poses, points)
+    ahead = seen[..., 2].min(axis=-1) > _LEAST_DEPTH_M
+    seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
+    squares = np.sum((project(seen, camera) - pixels) ** 2, axis=-1).mean(axis=-1)
+    errors = np.where(ahead, np.sqrt(squares), _BEHIND_PX)
     return Solutions(poses, covariance, np.sqrt(np.mean(errors**2, axis=1)), errors)
 
 
