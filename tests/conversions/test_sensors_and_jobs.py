@@ -1,8 +1,9 @@
 """Round trips of images, markers, clouds, jobs and results; each with its illegal twin."""
 
+import cv2
 import numpy as np
 import pytest
-from sensor_msgs.msg import CameraInfo, Image, PointCloud2, PointField
+from sensor_msgs.msg import CameraInfo, CompressedImage, Image, PointCloud2, PointField
 from skinplan_msgs.msg import PartPose
 
 from skinplan.errors import ImageInvalidError, InputError, JobInvalidError
@@ -73,6 +74,30 @@ def test_camera_refuses():
     msg.d = [NAN] * 5
     with pytest.raises(ImageInvalidError, match="finite"):
         c.camera_info_from_msg(msg)
+
+
+def test_rational_camera_round_trip_and_rectified_region_and_binning():
+    D = np.array([0.3, -0.2, 0.001, -0.002, 0.05, 0.2, -0.1, 0.03])
+    msg = c.camera_info_to_msg(CameraModel(64, 48, CAMERA.K, D), "optical")
+    assert msg.distortion_model == "rational_polynomial"
+    np.testing.assert_array_equal(c.camera_info_from_msg(msg).D, D)
+    flat = c.camera_info_from_msg(msg, rectified=True)
+    np.testing.assert_array_equal(flat.K, CAMERA.K)
+    assert not flat.D.any()
+    msg.binning_x = msg.binning_y = 2
+    msg.roi.x_offset, msg.roi.y_offset, msg.roi.width, msg.roi.height = 8, 4, 32, 24
+    part = c.camera_info_from_msg(msg)
+    assert (part.width, part.height) == (16, 12)
+    np.testing.assert_allclose(part.K[0], [45.0, 0.0, (32 - 8 + 0.5) / 2 - 0.5])
+
+
+def test_compressed_images_and_what_is_none():
+    image = np.random.default_rng(2).integers(0, 256, (48, 64, 3), dtype=np.uint8)
+    data = cv2.imencode(".png", image)[1].tobytes()
+    np.testing.assert_array_equal(c.compressed_image_from_msg(CompressedImage(data=data)), image)
+    for broken in (b"", b"no image", data[: len(data) // 8]):
+        with pytest.raises(ImageInvalidError, match="accepted"):
+            c.compressed_image_from_msg(CompressedImage(format="png", data=broken))
 
 
 @pytest.mark.parametrize("count", [0, 2])

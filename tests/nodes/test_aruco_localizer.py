@@ -1,16 +1,21 @@
 """The approach-retry loop on the mock base and camera; and what it refuses."""
 
+import hashlib
+import threading
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
+from diagnostic_msgs.msg import DiagnosticArray
 from nav2_msgs.action import NavigateToPose
+from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
 from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import MarkerObservations, PartPose, Status
 from tf2_msgs.msg import TFMessage
+from unique_identifier_msgs.msg import UUID
 
 from nodes.bench import Bench
 from nodes.small_part import reference
@@ -34,6 +39,7 @@ from skinplan_nodes.conversions import (
     part_pose_from_msg,
     pose_from_msg,
     pose_stamped_to_msg,
+    stamp_from_msg,
     transform_stamped_to_msg,
 )
 from skinplan_nodes.mock_camera import MockCamera
@@ -209,6 +215,82 @@ def test_cancel_stops_it(bench: Bench, part: Part) -> None:
     answer = bench.result(handle.get_result_async(), turning=True)
     assert answer.status == GoalStatus.STATUS_CANCELED
     assert answer.result.status.code == Status.LOCALIZATION_CANCELLED
+
+
+def test_the_end_of_the_node_stops_the_base_and_answers_with_an_error(
+    bench: Bench, part: Part
+) -> None:
+    bench.start(MockMir100, part_uri=str(part.source), seed=3)
+    bench.start(MockCamera, part_uri=str(part.source), seed=3)
+    localizer = bench.start(ArucoLocalizer)
+    odometry = bench.collect(Odometry, "odom", STATE)
+    drive(bench, work_place(part))
+    handle = send(bench, LocalizePart.Goal(part=reference(part), may_move=True))
+    result = handle.get_result_async()
+    bench.wait(lambda: odometry and abs(odometry[-1].twist.twist.linear.x) > 0.05, turning=True)
+    ending = threading.Thread(target=localizer.close)
+    ending.start()
+    answer = bench.result(result, turning=True)
+    ending.join(20.0)
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert answer.result.status.code == Status.LOCALIZATION_CANCELLED
+    bench.wait(lambda: odometry[-1].twist.twist.linear.x == 0.0, turning=True)
+    before = odometry[-1].pose.pose
+    bench.turn_clock(bench.now_s + 3.0)
+    bench.wait(lambda: stamp_from_msg(odometry[-1].header.stamp) > bench.now_s - 0.5, turning=True)
+    assert odometry[-1].pose.pose == before
+
+
+def test_a_new_process_stops_the_drive_of_one_that_was_killed(bench: Bench, part: Part) -> None:
+    """Goals of this node begin with its mark; nobody else's drive is touched."""
+    bench.start(MockMir100, part_uri=str(part.source), seed=3)
+    client = ActionClient(bench.tester, NavigateToPose, "navigate_to_pose")
+    bench.wait(client.server_is_ready)
+    mark = hashlib.sha256(b"/aruco_localizer").digest()[:8]
+    goal = NavigateToPose.Goal(pose=pose_stamped_to_msg(planar(2.0, -3.0, 0.0), "map"))
+    sent = client.send_goal_async(goal, goal_uuid=UUID(uuid=list(mark + bytes(8))))
+    orphan = bench.result(sent, turning=True).get_result_async()
+    bench.start(ArucoLocalizer)
+    assert bench.result(orphan, turning=True).status == GoalStatus.STATUS_CANCELED
+    drive(bench, work_place(part))
+
+
+def test_a_part_that_is_elsewhere_than_last_time(bench: Bench, part: Part) -> None:
+    start_cell(bench, part, part_moved_m=1e-6, images=1)
+    drive(bench, work_place(part))
+    goal = LocalizePart.Goal(part=reference(part), quality_threshold=0.05)
+    assert localize(bench, goal).result.status.code == Status.OK
+    drive(bench, work_place(part) @ planar(0.1, 0.0, 0.0))
+    answer = localize(bench, goal)
+    assert answer.result.status.code == Status.PART_MOVED
+    assert "new_place" in answer.result.status.message
+    goal.new_place = True
+    assert localize(bench, goal).result.status.code == Status.OK
+
+
+def test_markers_are_watched_between_goals_and_the_diagnostics_say_so(
+    bench: Bench, part: Part
+) -> None:
+    start_cell(bench, part, watched_part=str(part.source), watch_rate_hz=30.0)
+    told = bench.collect(DiagnosticArray, "diagnostics", STATE)
+    seen = bench.collect(MarkerObservations, "markers/observations", STATE)
+    drive(bench, work_place(part))
+    bench.wait(lambda: len(seen) > 5 and seen[-1].observations, turning=True)
+    item = seen[-1].observations[0]
+    assert item.quality == pytest.approx(
+        item.alpha * item.facing + (1.0 - item.alpha) * item.nearness
+    )
+    assert item.quality_threshold == CELL.quality.threshold
+    assert np.array(item.pose.covariance).reshape(6, 6).trace() > 0.0
+
+    def values() -> dict[str, str]:
+        mine = [m.status[0] for m in told if m.status[0].hardware_id == "aruco_localizer"]
+        return {pair.key: pair.value for pair in mine[-1].values} if mine else {}
+
+    bench.wait(lambda: float(values().get("detection_rate", "nan")) > 0.0, turning=True)
+    found = values()
+    assert {"image_rate_hz", "images_dropped", "last_good_pose_age_s", "quality"} <= set(found)
+    assert int(found["images_evaluated"]) > 0
 
 
 def test_a_second_goal_is_refused(bench: Bench, part: Part) -> None:

@@ -142,7 +142,7 @@ def refine(
         new_cost = np.einsum("bi,bi->b", new_residual, new_residual)
         better = new_cost < cost
         settled = (np.abs(step).max(axis=1) < _SMALLEST_STEP) | (
-            better & (cost - new_cost < 1e-10 * cost)
+            better & (cost - new_cost < 1e-7 * cost)
         )
         poses = np.where(better[:, None, None], moved, poses)
         residual = np.where(better[:, None], new_residual, residual)
