@@ -284,7 +284,7 @@ def test_camera_renders_the_markers_of_the_fixture(bench: Bench, part_uri: str) 
     place.publish(pose_stamped_to_msg(part.T_map_workpiece, "map"))
     base.publish(pose_stamped_to_msg(planar(-0.3, -1.2, 0.0), "map"))
     bench.wait(lambda: images and infos, turning=True)
-    ids, _ = detect_markers(image_from_msg(images[-1]), part.fixture.dictionary)
+    ids = detect_markers(image_from_msg(images[-1]), part.fixture.dictionary).ids
     assert set(ids.tolist()) & {marker.id for marker in part.fixture.markers}
     assert camera_info_from_msg(infos[-1]).width == cell.camera.width
     assert images[-1].header.frame_id == "camera_color_optical_frame"
