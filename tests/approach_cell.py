@@ -26,7 +26,7 @@ class SimulatedCell:
 
     Attributes:
         goals: Where the base was sent.
-        nearest_m: Least distance of the camera from the panel's marker plane where it stood [m].
+        nearest_m: Least distance of the camera from the marker plane where it was driven to [m].
         told_estimates: The loop's estimates.
     """
 
@@ -39,7 +39,7 @@ class SimulatedCell:
         self.goals: list[np.ndarray] = []
         self.looks = 0
         self.told_estimates: list = []
-        self.nearest_m = self.distance_m()
+        self.nearest_m = np.inf
         self.change_image: Callable[[np.ndarray, int], np.ndarray] = lambda image, _: image
 
     def distance_m(self) -> float:
