@@ -23,6 +23,8 @@ _SAME_MARKER = 0.5
 # Windows of the adaptive threshold: the small one for far markers, the large one for near ones.
 # OpenCV's own third one costs a third of the time and finds nothing more.
 _WINDOWS_PX = (3, 29)
+# One is enough near a marker that was found before; without it the whole image is looked at.
+_TRACKING_PX = 15
 # Half window of `cornerSubPix`, of markers whose edges can't be fitted.
 _SUBPIX_PX = 3
 _SUBPIX_SHARE = 0.04
@@ -83,7 +85,6 @@ class MarkerDetector:
         self._book = dictionary_of(dictionary) if isinstance(dictionary, str) else dictionary
         self._by_lines = corners == "lines"
         parameters = cv2.aruco.DetectorParameters()
-        parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = _WINDOWS_PX
         parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX[1] - _WINDOWS_PX[0]
         if not self._by_lines:
             parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -142,7 +143,11 @@ class MarkerDetector:
         window = grey[top:bottom, left:right]
         # OpenCV's limits are shares of the longer side of the image: the same in pixels.
         rate = 0.03 * max(grey.shape) / max(window.shape)
-        self._parameters.minMarkerPerimeterRate = min(rate, 3.0)
+        parameters = self._parameters
+        parameters.minMarkerPerimeterRate = min(rate, 3.0)
+        whole = window.shape == grey.shape
+        low, high = _WINDOWS_PX if whole else (_TRACKING_PX, _TRACKING_PX)
+        parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = low, high
         self._detector.setDetectorParameters(self._parameters)
         found, found_ids, rejected = self._detector.detectMarkers(np.ascontiguousarray(window))
         corners = np.asarray(found, dtype=float).reshape(-1, 4, 2)

@@ -96,18 +96,11 @@ def locate(
     """
     camera = require_camera(camera)
     bundle = _bundle(_usable(seen, fixture), fixture)
-    starts = np.array(
-        [
-            T_camera_marker @ inverse(fixture.T_workpiece_marker(item.id))
-            for item in bundle.markers
-            for T_camera_marker in (item.T_camera_marker, item.T_camera_second)
-        ]
-    )
-    kept, best, starts = _agreed(bundle, starts, camera)
+    if len(bundle.markers) == 1:
+        kept, (best, second) = bundle, _alone(bundle, fixture)
+    else:
+        kept, best, second = _together(bundle, fixture, camera)
     pose, error, covariance = best
-    second = _second(kept, pose, starts, camera)
-    if second is not None and second[1] < error:
-        (pose, error, covariance), second = second, best
     ratio = 0.0 if second is None else ambiguity(pose, second[0], error, second[1])
     if second is not None and ratio > ambiguity_max:
         raise _ambiguous(kept, pose, second, error, ambiguity_max)
@@ -162,6 +155,41 @@ def _bundle(markers: tuple[Observation, ...], fixture: Fixture) -> _Bundle:
     floor = np.array([item.corner_floor_px for item in markers])
     pixels = np.array([item.corners for item in markers])
     return _Bundle(markers, np.array(points), pixels, whitening(covariance, floor))
+
+
+def _alone(bundle: _Bundle, fixture: Fixture) -> tuple[_Solution, _Solution | None]:
+    """Carries the two solutions of the only marker to the workpiece."""
+    item = bundle.markers[0]
+    if item.reprojection_error_px > REPROJECTION_MAX_PX:
+        raise _mismatch(bundle, item.reprojection_error_px)
+    T_marker_workpiece = inverse(fixture.T_workpiece_marker(item.id))
+    # A turn of the marker moves the workpiece's origin by the lever between the two.
+    x, y, z = item.T_camera_marker[:3, :3] @ T_marker_workpiece[:3, 3]
+    carried = np.eye(6)
+    carried[:3, 3:] = [[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]]
+    covariance = carried @ item.covariance @ carried.T
+    best = (item.T_camera_marker @ T_marker_workpiece, item.reprojection_error_px, covariance)
+    if item.ambiguity_ratio == 0.0:
+        return best, None
+    return best, (item.T_camera_second @ T_marker_workpiece, item.second_error_px, covariance)
+
+
+def _together(
+    bundle: _Bundle, fixture: Fixture, camera: CameraModel
+) -> tuple[_Bundle, _Solution, _Solution | None]:
+    """Solves for the pose of several markers; the markers that agree, the best, the second."""
+    starts = np.array(
+        [
+            T_camera_marker @ inverse(fixture.T_workpiece_marker(item.id))
+            for item in bundle.markers
+            for T_camera_marker in (item.T_camera_marker, item.T_camera_second)
+        ]
+    )
+    kept, best, starts = _agreed(bundle, starts, camera)
+    second = _second(kept, best[0], starts, camera)
+    if second is not None and second[1] < best[1]:
+        best, second = second, best
+    return kept, best, second
 
 
 def _agreed(
