@@ -1,13 +1,14 @@
 """A lower bound for tours through groups of states: 1-trees with node prices (Held and Karp 1970).
 
 An edge between two points costs at least the shortest way of the scanner between any of their
-states at its speed limit, or what a break costs at least, whichever is less; a point costs at least
-what its cheapest state does. A tour is a spanning tree of the points with an edge to each end; node
+states at its speed limit, or what a break costs at least, whichever is less, and half of what both
+states cost. A tour is a spanning tree of the points with an edge to each end; node
 prices, which no tour's cost depends on, are raised where the tree branches off.
 """
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.distance import cdist
 
 from skinplan.trajectory.graph import BREAK_PRICE_S, BREAK_S, StationGraph
 from skinplan.transforms import Array
@@ -23,33 +24,47 @@ def tour_bound(graph: StationGraph, views: NDArray[np.int64]) -> float:
         graph: The station's graph.
         views: Numbers of the views, shape (n,).
     """
-    own = sum(float(graph.node_costs(graph.layer(v)).min()) for v in views)
-    start = [_from_end(graph, graph.start, v) for v in views]
-    home = [_from_end(graph, graph.home, v) for v in views]
+    start = np.array([_from_end(graph, graph.start, v) for v in views])
+    home = np.array([_from_end(graph, graph.home, v) for v in views])
     if len(views) == 1:
-        return own + start[0] + home[0]
-    return own + _one_tree_bound(_least_costs(graph, views), np.array(start), np.array(home))
+        return float(start[0] + home[0])
+    return _one_tree_bound(_least_costs(graph, views), start, home)
 
 
 def _from_end(graph: StationGraph, end: int, view: int) -> float:
-    return float(graph.break_s(np.array([end]), graph.layer(view)).min())
+    """Least cost of the edge to an end, half of the state's own cost included."""
+    nodes = graph.layer(view)
+    return float((graph.break_s(np.array([end]), nodes)[0] + 0.5 * graph.node_costs(nodes)).min())
 
 
 def _least_costs(graph: StationGraph, views: NDArray[np.int64]) -> Array:
-    """Least cost between the states of any two views, shape (n, n) [s]."""
-    places = [np.unique(np.round(graph.positions(graph.layer(v)), 9), axis=0) for v in views]
+    """Least cost between the states of any two views, half of both states' own, (n, n) [s].
+
+    In a tour each point has two edges, so that the halves add up to the cost of its state.
+    """
+    places = [_places(graph, v) for v in views]
     result = np.zeros((len(views), len(views)))
     problem = graph.problem
     lever = float(problem.world.arm.lever_arms().sum())
-    for i, first in enumerate(places):
+    for i, (first, first_s) in enumerate(places):
         for j in range(i + 1, len(places)):
-            gaps = np.linalg.norm(first[:, None] - places[j][None], axis=2)
-            way = float(gaps.min())
+            second, second_s = places[j]
+            way = cdist(first, second)
             # No joint can move less than that when the scanner moves so far.
-            turn = way / lever
-            stop = BREAK_S + BREAK_PRICE_S + turn / float(problem.velocity.max())
-            result[i, j] = result[j, i] = min(way / problem.tcp_speed, stop)
+            stop = BREAK_S + BREAK_PRICE_S + way / lever / float(problem.velocity.max())
+            edge = np.minimum(way / problem.tcp_speed, stop)
+            cost = edge + 0.5 * (first_s[:, None] + second_s[None])
+            result[i, j] = result[j, i] = cost.min()
     return result
+
+
+def _places(graph: StationGraph, view: int) -> tuple[Array, Array]:
+    """Scanner origins of a view's states, shape (p, 3) [m], and the least state cost at each."""
+    nodes = graph.layer(view)
+    places, owner = np.unique(np.round(graph.positions(nodes), 9), axis=0, return_inverse=True)
+    costs = np.full(len(places), np.inf)
+    np.minimum.at(costs, owner.reshape(-1), graph.node_costs(nodes))
+    return places, costs
 
 
 def _one_tree_bound(cost: Array, start: Array, home: Array) -> float:
