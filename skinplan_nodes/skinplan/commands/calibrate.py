@@ -71,6 +71,8 @@ def read_pairs(recording: Path, marker: int, cell: Path | None) -> list[PosePair
     Raises:
         InputError: No such file, or what is in it can't be used.
     """
+    if not recording.exists():
+        raise InputError(f"pairs of poses in {recording} were asked for; there is no such file")
     if recording.is_dir() or recording.suffix == ".mcap":
         text = _from_bag(recording, marker, cell)
     else:
