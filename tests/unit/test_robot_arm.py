@@ -123,7 +123,12 @@ def test_limits_are_two_turns_and_half_a_turn_per_second(arm):
     turns = np.array([2.0, 2.0, 1.0, 2.0, 2.0, 2.0]) * np.pi
     assert np.allclose(arm.upper, turns) and np.allclose(arm.lower, -turns)
     assert np.allclose(arm.velocity, np.pi)
-    assert arm.within_limits(np.array([[6.2] * 6, [6.3] * 6])).tolist() == [True, False]
+    assert arm.within_limits(np.stack([0.999 * turns, -0.999 * turns])).tolist() == [True, True]
+    for joint in range(6):  # one beyond its own limit is enough
+        for sign in (1.0, -1.0):
+            beyond = np.zeros((1, 6))
+            beyond[0, joint] = 1.001 * sign * turns[joint]
+            assert not arm.within_limits(beyond)[0]
 
 
 def test_the_scanner_looks_along_tool_z(arm):
