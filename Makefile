@@ -26,18 +26,18 @@ lint: setup ## style, format, types, wall between library and ROS
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The unit tests run once, in a process in which neither rclpy nor any message package can be imported. Everything runs
+# The unit tests run once, one process per core, in which neither rclpy nor any message package can be imported. Everything runs
 # even if something before it failed, and pytest has the last word.
 test: setup ## all checks but the long ones
 	@status=0; \
 	$(MAKE) --no-print-directory lint || status=1; \
-	$(PYTEST) tests/unit --without-ros -m "not long" || status=1; \
+	$(PYTEST) tests/unit --without-ros -m "not long" -n auto --dist worksteal || status=1; \
 	$(PYTEST) tests/conversions tests/nodes tests/system -m "not long" || status=1; \
 	exit $$status
 
 test-long: setup ## the long checks
 	@status=0; \
-	$(PYTEST) tests/unit --without-ros -m long; case $$? in 0|5) ;; *) status=1 ;; esac; \
+	$(PYTEST) tests/unit --without-ros -m long -n auto --dist worksteal; case $$? in 0|5) ;; *) status=1 ;; esac; \
 	$(PYTEST) tests/conversions tests/nodes tests/system -m long; case $$? in 0|5) ;; *) status=1 ;; esac; \
 	exit $$status
 

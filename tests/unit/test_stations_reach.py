@@ -317,11 +317,11 @@ def test_without_base_error_nothing_is_asked_of_the_neighbours():
     ("strategy", "name", "most"),
     [
         pytest.param(strategy, f"scene{number}", most, marks=marks)
-        for strategy, counts, marks in (
-            ("published", (2, 1, 2, 3), pytest.mark.long),
-            ("coverage", (2, 1, 2, 2), ()),
+        for strategy, counts, marked in (
+            ("published", (2, 1, 2, 3), (pytest.mark.long,) * 4),
+            ("coverage", (2, 1, 2, 2), (pytest.mark.long, (), pytest.mark.long, ())),
         )
-        for number, most in enumerate(counts, start=1)
+        for number, (most, marks) in enumerate(zip(counts, marked, strict=True), start=1)
     ],
 )
 def test_the_paper_scenes_need_no_more_stations_than_table_1(tmp_path, strategy, name, most):

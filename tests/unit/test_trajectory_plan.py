@@ -350,7 +350,13 @@ def test_the_other_scenes_are_driven_without_violation(tmp_path, name):
     assert sum(len(t.skipped) for t in found) <= 0.02 * len(path)
 
 
-@pytest.mark.parametrize("name", ["crm_fuselage_side_2.9x0.8", "d150_nose_rippled_1.8x0.8"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "crm_fuselage_side_2.9x0.8",
+        pytest.param("d150_nose_rippled_1.8x0.8", marks=pytest.mark.long),
+    ],
+)
 def test_real_panels_are_driven_without_violation(shared_data, name):
     mesh, _ = check_mesh(load_mesh(shared_data / "panels" / f"{name}.stl", "m"))
     path = plan_scan_path(mesh, segment_mesh(mesh), SCAN)
