@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+from scipy.interpolate import CubicHermiteSpline
 
 from skinplan.robot.arm import ArmModel
 from skinplan.robot.cell import CellConfig
@@ -197,6 +198,19 @@ def test_the_scanner_keeps_its_limit_along_the_lines_between_samples(seed):
         places = scanner(a + share[:, None] * (b - a))
         speed = np.linalg.norm(np.diff(places, axis=0), axis=1).max() / (step / 100)
         assert speed <= SCAN.tcp_speed * 1.001
+
+
+@pytest.mark.parametrize(("seed", "size"), [(8, 0.35), (12, 1.0), (26, 0.1), (0, 0.35)])
+def test_the_scanner_keeps_its_limit_along_the_cubics_between_samples(seed, size):
+    timed = time_path(ARM, corners(seed, size=size), SCAN)
+    # By means of its own: places of the cubics, a fiftieth of a step apart.
+    cubic = CubicHermiteSpline(timed.times, timed.positions, timed.velocities)
+    ends = zip(timed.times, timed.times[1:], strict=False)
+    times = np.concatenate([np.linspace(a, b, 51) for a, b in ends])
+    way = np.linalg.norm(np.diff(scanner(cubic(times)), axis=0), axis=1)
+    step = np.diff(times)
+    speed = way[step > 0] / step[step > 0]
+    assert speed.max() <= SCAN.tcp_speed * 1.005
 
 
 @pytest.mark.parametrize("seed", range(6))

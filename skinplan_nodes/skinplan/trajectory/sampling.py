@@ -7,6 +7,7 @@ from skinplan.robot.arm import ArmModel
 from skinplan.transforms import Array, inverse
 
 _LONGEST_S = 0.04  # samples also say where the arm is: they are never farther apart
+_CUBIC_SHARES = (0.25, 0.5, 0.75)  # of an interval at which the speed of a cubic is looked at
 
 
 def sample_counts(
@@ -61,6 +62,31 @@ def line_use(arm: ArmModel, times: Array, positions: Array, tcp_speed_m_s: float
     pace = np.diff(positions, axis=0) / np.diff(times)[:, None]
     start, end = tcp_speeds(arm, positions[:-1], pace), tcp_speeds(arm, positions[1:], pace)
     return np.asarray(np.maximum(start, end) / tcp_speed_m_s)
+
+
+def cubic_use(
+    arm: ArmModel, times: Array, positions: Array, velocities: Array, tcp_speed_m_s: float
+) -> Array:
+    """Returns how much of the scanner's speed limit cubics through the samples use, shape (m - 1,).
+
+    Args:
+        arm: The arm.
+        times: Of the samples, shape (m,) [s].
+        positions: Joint positions, shape (m, 6) [rad].
+        velocities: Joint velocities, shape (m, 6) [rad/s].
+        tcp_speed_m_s: Speed limit of the scanner [m/s]; inf = none.
+    """
+    if not np.isfinite(tcp_speed_m_s):
+        return np.zeros(len(times) - 1)
+    step = np.diff(times)[:, None]
+    change, start, end = np.diff(positions, axis=0), velocities[:-1], velocities[1:]
+    bend, twist = 3.0 * change / step - 2.0 * start - end, start + end - 2.0 * change / step
+    use = np.zeros(len(step))
+    for share in _CUBIC_SHARES:
+        q = positions[:-1] + step * share * (start + share * (bend + share * twist))
+        pace = start + share * (2.0 * bend + 3.0 * share * twist)
+        np.maximum(use, tcp_speeds(arm, q, pace) / tcp_speed_m_s, out=use)
+    return use
 
 
 def tcp_speeds(arm: ArmModel, q: Array, velocities: Array) -> Array:

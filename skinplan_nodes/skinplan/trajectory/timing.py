@@ -11,7 +11,7 @@ from toppra.constraint import DiscretizationType, JointAccelerationConstraint
 from toppra.constraint.linear_constraint import LinearConstraint
 
 from skinplan.robot.arm import ArmModel
-from skinplan.trajectory.sampling import line_use
+from skinplan.trajectory.sampling import cubic_use, line_use
 from skinplan.transforms import Array
 
 SAMPLE_S = 0.04  # samples are never farther apart ...
@@ -205,6 +205,7 @@ def _excess(arm: ArmModel, timed: Timed, limits: Limits) -> float:
     defect = np.abs(0.5 * (velocities[1:] + velocities[:-1]) - mean) / steps
     needed = float((2.0 * defect + np.sqrt(4.0 * defect**2 + rate**2)).max())
     fast = float(line_use(arm, times, positions, limits.tcp_speed).max())
+    fast = max(fast, float(cubic_use(arm, times, positions, velocities, limits.tcp_speed).max()))
     return max(1.0, joint, float(np.sqrt(needed / limits.acceleration)), fast)
 
 
