@@ -204,6 +204,10 @@ class CloudInvalidError(InputError):
     """A cloud file that can't be read or written."""
 
 
+class ResumeRefusedError(InputError):
+    """What was kept of a scan belongs to another job or part."""
+
+
 class AlignmentError(SkinplanError):
     """The cloud can't be aligned with the part."""
 

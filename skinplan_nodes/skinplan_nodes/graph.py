@@ -17,6 +17,9 @@ CLOCK_RATE_HZ = 20.0
 # Joint states per second of simulated time; twice the rate of the scanner's frames.
 JOINT_RATE_HZ = 20.0
 
+# Nodes whose queues must not overflow: time waits for them.
+_TIME_WAITS_FOR = ("scan_inspector", "run_recorder")
+
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -53,6 +56,8 @@ class GraphSettings:
         seed: Seed of every random draw of the mock cell.
         jobs_file: Absolute path of the job store; empty = ``jobs.sqlite`` in the runs folder.
         report: The supervisor writes the report; False = the job client does.
+        clock_file: Absolute path of the file from which a clock that is started again goes on;
+            empty = it begins anew.
     """
 
     runs_folder: Path
@@ -62,6 +67,7 @@ class GraphSettings:
     seed: int = 1
     jobs_file: str = ""
     report: bool = True
+    clock_file: str = ""
 
     @property
     def simulated(self) -> bool:
@@ -83,7 +89,12 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
             "sim_clock",
             True,
             True,
-            {"time_factor": float(settings.time_factor), "rate_hz": CLOCK_RATE_HZ},
+            {
+                "time_factor": float(settings.time_factor),
+                "rate_hz": CLOCK_RATE_HZ,
+                "time_file": settings.clock_file,
+                "wait_for": list(_TIME_WAITS_FOR),
+            },
         ),
         NodeSpec("mock_mir100", True, True, mock),
         NodeSpec("mock_ur5", True, True, {**cell, "rate_hz": JOINT_RATE_HZ}),

@@ -17,12 +17,10 @@ from pathlib import Path
 from typing import Any
 
 import rclpy
-from geometry_msgs.msg import PoseStamped
 from rclpy.executors import SingleThreadedExecutor
-from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
-from skinplan_msgs.msg import Heartbeat, JobStatus, Status
-from skinplan_msgs.srv import JobCommand, JobSubmit
+from skinplan_msgs.msg import Status
+from skinplan_msgs.srv import JobCommand, JobGet, JobSubmit
 
 from skinplan.errors import SkinplanError
 from skinplan.inspection.report import write_report
@@ -30,65 +28,15 @@ from skinplan.jobs.model import Job, JobRecord, JobState
 from skinplan.jobs.states import is_over
 from skinplan.plan_record import write_json
 from skinplan.robot.cell_file import load_cell
-from skinplan_nodes.conversions import (
-    job_status_from_msg,
-    job_to_msg,
-    pose_stamped_from_msg,
-    stamp_from_msg,
-)
-from skinplan_nodes.qos import LATCHED, STATE
+from skinplan_nodes.conversions import job_to_msg
+from skinplan_nodes.measure_client import MeasureClient
 from skinplan_nodes.truth import TruthLog
 
 _SUBMIT_S = 90.0
 _ANSWER_S = 10.0
-# The supervisor's heartbeat comes every second.
-_SILENT_S = 12.0
+_ASK_PERIOD_S = 2.0
 _ABORT_S = 2.2
 _log = logging.getLogger(__name__)
-
-
-class MeasureClient(Node):
-    """Submits a job and follows its state.
-
-    Args:
-        truth: Takes the true poses of a simulated cell.
-        on_change: Called with every change of the job.
-        arguments: Node arguments of ROS.
-    """
-
-    def __init__(
-        self, truth: TruthLog, on_change: Callable[[JobRecord], None], namespace: str = ""
-    ) -> None:
-        super().__init__("measure", namespace=namespace)
-        self._truth = truth
-        self._on_change = on_change
-        self.job_id = ""
-        self.record: JobRecord | None = None
-        self.seen_s = math.inf
-        self.submit = self.create_client(JobSubmit, "jobs/submit")
-        self.command = self.create_client(JobCommand, "jobs/command")
-        self.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
-        self.create_subscription(Heartbeat, "heartbeat", self._on_heartbeat, STATE)
-        self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
-        self.create_subscription(
-            PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
-        )
-
-    def _on_status(self, message: JobStatus) -> None:
-        if message.job_id == self.job_id:
-            self.record = job_status_from_msg(message)
-            self._on_change(self.record)
-
-    def _on_heartbeat(self, message: Heartbeat) -> None:
-        if message.node.rsplit("/", 1)[-1] == "cell_supervisor":
-            self.seen_s = time.monotonic()
-
-    def _on_base_pose(self, message: PoseStamped) -> None:
-        pose = pose_stamped_from_msg(message, "map", "true pose of the base")
-        self._truth.base_stood(stamp_from_msg(message.header.stamp), pose)
-
-    def _on_workpiece_pose(self, message: PoseStamped) -> None:
-        self._truth.T_map_workpiece = pose_stamped_from_msg(message, "map", "true pose of the part")
 
 
 class Measurement:
@@ -118,6 +66,8 @@ class Measurement:
         self._executor.add_node(self._node)
         self._asked_to_end = False
         self.interrupted = False
+        self._asked: Any = None
+        self._asked_s = 0.0
 
     def interrupt(self) -> None:
         """Asks for the end of the job; called by the signal handler."""
@@ -139,8 +89,11 @@ class Measurement:
                 self._abort()
                 self.interrupted = True
                 break
-            if time.monotonic() - self._node.seen_s > _SILENT_S:
-                return self._node.record, "the cell supervisor was lost; nobody ends the job"
+            if self._node.absence.asking:
+                self._ask()
+            problem = self._node.absence.problem(time.monotonic(), self._state())
+            if problem:
+                return self._node.record, problem
         record = self._node.record
         error = record.error if record is not None else ""
         return record, error or (self._why() if self.interrupted else "")
@@ -158,9 +111,29 @@ class Measurement:
         answer = self._node.submit.call_async(JobSubmit.Request(job=job_to_msg(self._job)))
         if not self._spin_until(answer.done, _ANSWER_S):
             return f"no answer of jobs/submit within {_ANSWER_S:g} s"
-        self._node.seen_s = time.monotonic()
+        self._node.absence.expect(time.monotonic())
         status = answer.result().status
         return "" if status.code == Status.OK else str(status.message)
+
+    def _ask(self) -> None:
+        """Asks a supervisor that was started again how the job is."""
+        now_s, client = time.monotonic(), self._node.get
+        if self._asked is not None and self._asked.done():
+            answer, self._asked = self._asked.result(), None
+            if answer is not None and answer.status.code == Status.OK:
+                self._node.take(answer.job_status)
+                record = self._node.record
+                if record is not None and record.state is JobState.RUNNING:
+                    self._node.absence.goes_on()
+        elif now_s - self._asked_s > _ASK_PERIOD_S and client.service_is_ready():
+            self._asked_s = now_s
+            if self._asked is not None:
+                client.remove_pending_request(self._asked)
+            self._asked = client.call_async(JobGet.Request(job_id=self._job.job_id))
+
+    def _state(self) -> str:
+        record = self._node.record
+        return "not known" if record is None else record.state.title
 
     def _abort(self) -> None:
         request = JobCommand.Request(

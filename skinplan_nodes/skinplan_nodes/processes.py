@@ -1,26 +1,29 @@
 """The processes of the graph, on top of the process manager honcho. Needs no ROS.
 
-honcho starts the processes and tells when one ends. Added here: a staged end (a node that dies
-leaves the supervisor time to close the job; an interrupt lets the client abort it first), and no
-orphans, however the runner itself ends.
+honcho starts the processes and tells when one ends. Added here: a node that dies is started again,
+a bounded number of times; a staged end (a node that dies for good leaves the supervisor time to
+close the job; an interrupt lets the client abort it first); and no orphans, however the runner
+itself ends.
 """
 
 import contextlib
 import ctypes
 import functools
 import logging
+import multiprocessing
 import os
 import signal
 import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from honcho.manager import Manager
 from honcho.printer import Message
 from honcho.process import Popen, Process
+
+from skinplan_nodes.restarts import NO_RESTARTS, RestartCounter, RestartPolicy
 
 _PR_SET_PDEATHSIG = 1
 _log = logging.getLogger(__name__)
@@ -65,16 +68,46 @@ class LinePrinter:
                 self._on_line(message.name, line)
 
 
+class _Events:
+    """honcho's queue of events, with the deaths taken out that a restart follows.
+
+    Args:
+        queue: The queue that honcho's readers fill.
+        taken: Told of each event; true = honcho does not get it.
+        poll: Called at each look.
+    """
+
+    def __init__(
+        self, queue: Any, taken: Callable[[Message], bool], poll: Callable[[], None]
+    ) -> None:
+        self.queue = queue
+        self._taken = taken
+        self._poll = poll
+
+    def get(self, timeout: float) -> Message:
+        """Returns the next event for honcho."""
+        self._poll()
+        message: Message = self.queue.get(timeout=timeout)
+        if self._taken(message):
+            # honcho looks at what it knows after every event: this one says nothing.
+            return message._replace(type="restart", data={})
+        return message
+
+
 class GraphManager(Manager):
-    """Runs the nodes, and a client, until the client ends, a node dies or a signal comes.
+    """Runs the nodes, and a client, until the client ends, a node dies for good or a signal comes.
 
     Args:
         on_line: Called with process name and line for everything that is not redirected.
-        on_death: Called with the name and return code (negative = signal) of a node that died.
+        on_death: Called with the name and return code (negative = signal) of a node that died for
+            good: it ends the graph.
         client: Name of the process whose end is the regular end of the run; None = there is none.
         first: Name of the process that is terminated before the others, so that it can end its work
             with them.
         times: How long the stages of the end may take.
+        restarts: How often a node that died is started again.
+        on_restart: Called with name, return code and the number of restarts so far when a node died
+            that is started again (code None: it has been started).
     """
 
     def __init__(
@@ -84,8 +117,18 @@ class GraphManager(Manager):
         client: str | None = None,
         first: str | None = None,
         times: EndTimes = EndTimes(),
+        restarts: RestartPolicy = NO_RESTARTS,
+        on_restart: Callable[[str, int | None, int], None] = lambda *_: None,
     ) -> None:
         super().__init__(LinePrinter(on_line))
+        self.events = _Events(self.events, self._restart_later, self._start_again)
+        self._restarts = restarts
+        self._on_restart = on_restart
+        self._counters: dict[str, RestartCounter] = {}
+        # Name -> when it is due [s] and its last return code; guarded, the end comes in a thread.
+        self._due: dict[str, tuple[float, int]] = {}
+        self._due_lock = threading.Lock()
+        self._ending = False
         self._process_ctor = _BoundProcess
         self._on_death = on_death
         self._client = client
@@ -112,7 +155,63 @@ class GraphManager(Manager):
     def kill(self) -> None:
         """Does nothing: honcho's own deadline does not know the stages of the end."""
 
+    def _all_started(self) -> bool:
+        # What waits for its restart is no reason to wait with the end.
+        return all(p.get("pid") is not None or n in self._due for n, p in self._processes.items())
+
+    def recent_deaths(self, name: str) -> int:
+        """Returns how often a process died within the window of the restarts."""
+        return self._counters[name].recent if name in self._counters else 0
+
+    def _start(self) -> None:
+        for name in self._processes:
+            self._launch(name)
+
+    def _launch(self, name: str) -> None:
+        process = self._processes[name]
+        process["process"] = multiprocessing.Process(
+            name=name, target=process["obj"].run, args=(self.events.queue, True)
+        )
+        process["process"].start()
+
+    def _restart_later(self, message: Message) -> bool:
+        """Takes note of a death that a restart follows; false = honcho has to know of it."""
+        if message.type != "stop" or message.name == self._client:
+            return False
+        code = int(message.data["returncode"])
+        with self._due_lock:
+            if self._ending:
+                return False
+            counter = self._counters.setdefault(message.name, RestartCounter(self._restarts))
+            wait_s = counter.wait_after(code, time.monotonic())
+            if wait_s is None:
+                return False
+            self._processes[message.name]["pid"] = None
+            self._due[message.name] = (time.monotonic() + wait_s, code)
+        self._on_restart(message.name, code, counter.total)
+        return True
+
+    def _start_again(self) -> None:
+        """Starts the processes that are due; in the main thread, whose children end with it."""
+        with self._due_lock:
+            now_s = time.monotonic()
+            due = [name for name, (due_s, _) in self._due.items() if due_s <= now_s]
+            for name in due:
+                del self._due[name]
+                self._launch(name)
+        for name in due:
+            self._on_restart(name, None, self._counters[name].total)
+
+    def _no_more_restarts(self) -> None:
+        with self._due_lock:
+            self._ending = True
+            for name, (_, code) in self._due.items():
+                # Nothing of it runs: for the end it has stopped.
+                self._processes[name].update(pid=0, returncode=code)
+            self._due.clear()
+
     def _end_in_stages(self) -> None:
+        self._no_more_restarts()
         while not self._all_started():
             time.sleep(0.02)
         self._report_deaths()
@@ -130,9 +229,9 @@ class GraphManager(Manager):
     def _report_deaths(self) -> None:
         if self._signals or (self._client and self.client_code() is not None):
             return
-        for name in self._processes:
+        for name, process in self._processes.items():
             code = self._code(name)
-            if name != self._client and code is not None:
+            if name != self._client and code is not None and process["pid"]:
                 self._on_death(name, code)
 
     def _wait(self, timeout_s: float, done: Callable[[], bool]) -> None:
@@ -158,13 +257,16 @@ class GraphManager(Manager):
         return code
 
 
-def die_with_parent(sent: int = signal.SIGKILL) -> None:
+def die_with_parent(sent: int, parent: int) -> None:
     """Asks the kernel to end this process when its parent ends, however that ends (Linux).
 
     Args:
         sent: The signal that this process gets then.
+        parent: Process id of the parent: when it has ended already, this process ends at once.
     """
     ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_PDEATHSIG, sent, 0, 0, 0)
+    if os.getppid() != parent:
+        os._exit(1)
 
 
 class _BoundProcess(Process):
@@ -172,41 +274,12 @@ class _BoundProcess(Process):
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        # The program gets SIGTERM, so that the recorder can close its bag.
-        ask = functools.partial(die_with_parent, signal.SIGTERM)
-        self._child_ctor = functools.partial(Popen, preexec_fn=ask)
         self._starter = os.getpid()
 
     def run(self, events: Any = None, ignore_signals: bool = False) -> None:
         """Runs in honcho's reader process."""
-        die_with_parent()
-        if os.getppid() != self._starter:
-            return
+        die_with_parent(signal.SIGKILL, self._starter)
+        # The program gets SIGTERM, so that the recorder can close its bag.
+        ask = functools.partial(die_with_parent, signal.SIGTERM, os.getpid())
+        self._child_ctor = functools.partial(Popen, preexec_fn=ask)
         super().run(events, ignore_signals)
-
-
-def domain_of_graph(environment: dict[str, str], locks: Path = Path("/proc/net/udp")) -> int:
-    """Returns the DDS domain of a new graph: the one asked for, else 0 if unused, else a free one.
-
-    Args:
-        environment: Environment variables; ``ROS_DOMAIN_ID`` decides when it is set.
-        locks: The kernel's table of UDP sockets.
-    """
-    asked = environment.get("ROS_DOMAIN_ID", "").strip()
-    if asked:
-        return int(asked)
-    used = _udp_ports(locks)
-    first = os.getpid() % 100
-    for domain in (0, *(1 + (first + i) % 100 for i in range(100))):
-        # DDS: each domain has 250 ports from 7400 on.
-        if not any(7400 + 250 * domain <= port < 7650 + 250 * domain for port in used):
-            return domain
-    return 0
-
-
-def _udp_ports(table: Path) -> set[int]:
-    try:
-        lines = table.read_text(encoding="ascii").splitlines()[1:]
-    except OSError:
-        return set()
-    return {int(line.split()[1].rsplit(":", 1)[1], 16) for line in lines if line.strip()}

@@ -24,9 +24,12 @@ from skinplan.recording.model import BagSummary
 from skinplan.recording.qos import INFINITE_NS
 from skinplan.recording.qos import QosProfile as RecordedQos
 from skinplan.recording.schema import schema_with_dependencies
+from skinplan_nodes.conversions import raw_stamp_s
 from skinplan_nodes.message_types import definition_text, message_class
+from skinplan_nodes.time_ack import TimeAck
 
 _DEPTH = 500
+_STEADY_TOPIC = "/joint_states"
 
 
 @dataclass(frozen=True)
@@ -101,6 +104,7 @@ class RecordingSession:
         metadata: Facts about the run.
         queue_bytes: So many bytes wait for the disk at most.
         group: Callback group of the subscriptions.
+        ack: Tells the clock how far the recording has come.
 
     Raises:
         BagNotWritableError: The folder is not empty, or can't be created.
@@ -113,6 +117,7 @@ class RecordingSession:
         metadata: Mapping[str, str],
         queue_bytes: int,
         group: CallbackGroup,
+        ack: TimeAck,
     ) -> None:
         self._node = node
         self._group = group
@@ -121,6 +126,7 @@ class RecordingSession:
         self._subscriptions: dict[str, tuple[QoSProfile, Any]] = {}
         self._refused: set[str] = set()
         self._last_ns = 0
+        self._ack = ack
 
     @property
     def dropped(self) -> int:
@@ -163,6 +169,7 @@ class RecordingSession:
         """
         for _, subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
+        self._ack.idle()
         self._thread.finish()
         return self._bag.finish()
 
@@ -189,8 +196,12 @@ class RecordingSession:
 
     def _taker(self, topic: str) -> Callable[[bytes], None]:
         clock = self._node.get_clock()
+        # The most frequent topic tells how far this node has come.
+        steady = topic.endswith(_STEADY_TOPIC)
 
         def take(data: bytes) -> None:
+            if steady:
+                self._ack.reached(raw_stamp_s(data))
             # The order of receipt is kept even when the cell's clock is set back.
             self._last_ns = max(self._last_ns, clock.now().nanoseconds)
             self._thread.put(topic, data, self._last_ns)

@@ -59,6 +59,7 @@ CODES: dict[type[Exception], int] = {
     errors.NoTrajectoryError: Status.NO_TRAJECTORY,
     errors.NoCloudError: Status.NO_CLOUD,
     errors.CloudInvalidError: Status.NO_CLOUD,
+    errors.ResumeRefusedError: Status.RESUME_REFUSED,
     errors.AlignmentError: Status.ALIGNMENT_FAILED,
     errors.UnknownPartError: Status.UNKNOWN_PART,
     errors.CancelledError: Status.PLANNING_CANCELLED,

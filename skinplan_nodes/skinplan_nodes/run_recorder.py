@@ -19,6 +19,7 @@ from skinplan_nodes.parameters import Parameter
 from skinplan_nodes.recording_session import RecordingSession
 from skinplan_nodes.replies import RefusedError, replies
 from skinplan_nodes.run import run_node
+from skinplan_nodes.time_ack import TimeAck
 
 
 class RunRecorder(CellLifecycleNode):
@@ -39,6 +40,7 @@ class RunRecorder(CellLifecycleNode):
         super().__init__(**kwargs)
         self._session: RecordingSession | None = None
         self._group = MutuallyExclusiveCallbackGroup()
+        self._ack = TimeAck(self)
         self.autostart()
 
     def on_configure(self, state: State) -> TransitionCallbackReturn:
@@ -109,7 +111,7 @@ class RunRecorder(CellLifecycleNode):
             )
         metadata = dict(key_values_from_msg(request.metadata))
         self._session = RecordingSession(
-            self, folder, metadata, self.values.queue_bytes, self._group
+            self, folder, metadata, self.values.queue_bytes, self._group, self._ack
         )
         self._session.discover()
         self.set_health("ok", f"recording to {folder}")

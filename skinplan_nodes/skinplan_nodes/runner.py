@@ -5,58 +5,34 @@ job client and ends with the job; with ``--serve`` the graph runs until it is in
 ROS itself.
 """
 
-import argparse
 import json
 import logging
 import os
 import shlex
 import signal
 import sys
-import time
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import yaml
 
-from skinplan.jobs.checks import ID_PATTERN
-from skinplan_nodes.graph import PACKAGE, GraphSettings, NodeSpec, describe
-from skinplan_nodes.processes import GraphManager, domain_of_graph
+from skinplan_nodes.dds_domain import domain_of_graph
+from skinplan_nodes.graph import PACKAGE, NodeSpec
+from skinplan_nodes.processes import EndTimes, GraphManager
+from skinplan_nodes.runner_options import RunnerOptions, parse_arguments
 
 CLIENT = "measure"
 SUPERVISOR = "cell_supervisor"
 DIED = "died.txt"
+# What the time was last: a clock that is started again goes on from there.
+CLOCK = "sim_clock.time"
 EXIT_FAILED = 1
 EXIT_BAD_INPUT = 2
 # One thread per process: there are more processes than cores.
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
 _log = logging.getLogger(__name__)
-
-
-@dataclass(frozen=True)
-class RunnerOptions:
-    """What the runner was asked for.
-
-    Attributes:
-        graph: What the graph is started for.
-        part: Part file to measure; None with `serve`.
-        serve: Run the graph without a job.
-        json_lines: Events on stdout as JSON lines.
-        job_id: Id of the job; empty = made here.
-        serial_number: Of the individual part; may be empty.
-        namespace: Of all nodes; may be empty.
-        config_folder: Folder of parameter files ``<node>.yaml``; None = the nodes' defaults.
-    """
-
-    graph: GraphSettings
-    part: Path | None
-    serve: bool = False
-    json_lines: bool = False
-    job_id: str = ""
-    serial_number: str = ""
-    namespace: str = ""
-    config_folder: Path | None = None
 
 
 @dataclass
@@ -65,13 +41,14 @@ class Runner:
 
     Attributes:
         options: What was asked for.
-        died: Names of the nodes that died.
+        died: How the nodes ended that died for good, one sentence each.
         result: The client's last event; None until it came.
     """
 
     options: RunnerOptions
     died: list[str] = field(default_factory=list)
     result: dict[str, Any] | None = None
+    _manager: GraphManager = field(init=False)
 
     def run(self) -> int:
         """Starts everything, waits for the end, leaves no process.
@@ -81,12 +58,24 @@ class Runner:
         """
         log_folder = self._log_folder()
         log_folder.mkdir(parents=True, exist_ok=True)
+        # Of an earlier graph: this one's time begins anew.
+        (log_folder / CLOCK).unlink(missing_ok=True)
         environment = graph_environment(dict(os.environ))
         # A served cell ends its job while the others are still there; otherwise the
         # client does that.
-        client, first = (None, SUPERVISOR) if self.options.serve else (CLIENT, None)
-        manager = GraphManager(self._on_line, self._on_death, client, first)
-        for node in describe(self.options.graph):
+        client, first = (None, self._first()) if self.options.serve else (CLIENT, None)
+        self._manager = manager = GraphManager(
+            self._on_line,
+            self._on_death,
+            client,
+            first,
+            # Time for the supervisor to end its job, where there is one.
+            EndTimes() if client or first else EndTimes(grace_s=0.0),
+            restarts=self.options.restarts,
+            on_restart=self._on_restart,
+        )
+        settings = replace(self.options.graph, clock_file=str(log_folder / CLOCK))
+        for node in self.options.nodes(settings):
             manager.add_process(node.name, self._node_command(node, log_folder), env=environment)
         if not self.options.serve:
             manager.add_process(CLIENT, self._client_command(log_folder), env=environment)
@@ -95,6 +84,10 @@ class Runner:
         manager.loop()
         self._finish(manager.returncode or 0)
         return self._exit_code(manager)
+
+    def _first(self) -> str | None:
+        only = self.options.only
+        return SUPERVISOR if not only or SUPERVISOR in only else None
 
     def _exit_code(self, manager: GraphManager) -> int:
         if manager.returncode in (130, 143):
@@ -107,9 +100,7 @@ class Runner:
         """Emits the last event when the client could not."""
         if self.options.serve or self.result is not None:
             return
-        cause = (
-            f"node {self.died[0]} died" if self.died else f"the job client ended with code {code}"
-        )
+        cause = self.died[0] if self.died else f"the job client ended with code {code}"
         if code in (128 + signal.SIGINT, 128 + signal.SIGTERM):
             cause = "the run was interrupted"
         job_id, folder = self.options.job_id, str(self._run_folder())
@@ -133,11 +124,20 @@ class Runner:
         self._emit(event)
 
     def _on_death(self, name: str, code: int) -> None:
-        self.died.append(name)
+        times = self._manager.recent_deaths(name)
+        said = f"node {name} died ({_how(code)})"
+        if times > 1:
+            said += f" {times} times within {self.options.restarts.window_s:g} s"
+        self.died.append(said)
         # The client reads it when it is interrupted, and gives it as the reason.
-        (self._log_folder() / DIED).write_text(f"node {name} died\n", encoding="utf-8")
-        how = {"code": code} if code >= 0 else {"signal": -code}
-        self._emit({"event": "node_died", "node": name, **how})
+        (self._log_folder() / DIED).write_text(said + "\n", encoding="utf-8")
+        self._emit({"event": "node_died", "node": name, **_codes(code), "restarted": False})
+
+    def _on_restart(self, name: str, code: int | None, count: int) -> None:
+        if code is None:
+            self._emit({"event": "node_restarted", "node": name, "restarts": count})
+        else:
+            self._emit({"event": "node_died", "node": name, **_codes(code), "restarted": True})
 
     def _emit(self, event: dict[str, Any]) -> None:
         text = json.dumps(event) if self.options.json_lines else _sentence(event)
@@ -194,85 +194,6 @@ def write_parameters(node: NodeSpec, folder: Path) -> Path:
     return path
 
 
-def parse_arguments(arguments: Sequence[str] | None = None) -> RunnerOptions:
-    """Reads the command line.
-
-    Raises:
-        SystemExit: With code 2 for bad input, named on stderr.
-    """
-    parser = argparse.ArgumentParser(prog="python -m skinplan_nodes.runner", description=__doc__)
-    parser.add_argument(
-        "--part", type=Path, help="part file to measure; it also stands in the mock cell"
-    )
-    parser.add_argument(
-        "--runs-folder", type=Path, default=Path("runs"), help="folder that gets the run's folder"
-    )
-    parser.add_argument("--cell-file", type=Path, help="cell file; without it the default cell")
-    parser.add_argument(
-        "--time-factor", type=float, default=1.0, help="times faster than real time"
-    )
-    parser.add_argument(
-        "--seed", type=int, default=1, help="seed of every random draw of the mock cell"
-    )
-    parser.add_argument("--job-id", default="", help="id of the job; made here without it")
-    parser.add_argument("--serial-number", default="", help="serial number of the individual part")
-    parser.add_argument("--namespace", default="", help="namespace of all nodes, e.g. /cell1")
-    parser.add_argument("--config-folder", type=Path, help="folder of parameter files <node>.yaml")
-    parser.add_argument(
-        "--devices",
-        choices=("mock", "real"),
-        default="mock",
-        help="mock cell, or drivers elsewhere",
-    )
-    parser.add_argument(
-        "--serve", action="store_true", help="run the graph without a job until interrupted"
-    )
-    parser.add_argument("--json-lines", action="store_true", help="events on stdout as JSON lines")
-    given = parser.parse_args(arguments)
-    if given.part is None and (not given.serve or given.devices == "mock"):
-        parser.error("--part is needed: it is measured, and it stands in the mock cell")
-    if given.part is not None and not given.part.is_file():
-        parser.error(f"--part {given.part}: there is no such file; a part.yaml is accepted")
-    if not 0.1 <= given.time_factor <= 50.0:
-        parser.error(f"--time-factor {given.time_factor:g}: 0.1 to 50 is accepted")
-    job_id = given.job_id or time.strftime("%Y%m%d-%H%M%S", time.gmtime()) + f"-{os.getpid()}"
-    options = _options(given, job_id)
-    used = options.graph.runs_folder / job_id
-    if not ID_PATTERN.fullmatch(job_id):
-        parser.error(f"--job-id {job_id!r}: 1 to 64 of [A-Za-z0-9_.-] are accepted")
-    if not options.serve and used.is_dir() and any(used.iterdir()):
-        parser.error(
-            f"--job-id {job_id}: {used} exists already; an id that was not used yet is accepted"
-        )
-    return options
-
-
-def _options(given: argparse.Namespace, job_id: str) -> RunnerOptions:
-    runs_folder = given.runs_folder.absolute()
-    part = None if given.part is None else given.part.absolute()
-    # A single run keeps its job to itself; a served cell remembers its jobs.
-    jobs_file = "" if given.serve else str(runs_folder / job_id / "log" / "jobs.sqlite")
-    graph = GraphSettings(
-        runs_folder=runs_folder,
-        part_uri=str(part) if part is not None and given.devices == "mock" else "",
-        cell_file="" if given.cell_file is None else str(given.cell_file.absolute()),
-        time_factor=given.time_factor,
-        seed=given.seed,
-        jobs_file=jobs_file,
-        report=given.serve,
-    )
-    return RunnerOptions(
-        graph=graph,
-        part=part,
-        serve=given.serve,
-        json_lines=given.json_lines,
-        job_id=job_id,
-        serial_number=given.serial_number,
-        namespace=given.namespace,
-        config_folder=given.config_folder,
-    )
-
-
 def main(arguments: Sequence[str] | None = None) -> int:
     """Entry point.
 
@@ -283,6 +204,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
         level=logging.WARNING, stream=sys.stderr, format="%(levelname)s %(name)s: %(message)s"
     )
     return Runner(parse_arguments(arguments)).run()
+
+
+def _codes(code: int) -> dict[str, int]:
+    return {"code": code} if code >= 0 else {"signal": -code}
+
+
+def _how(code: int) -> str:
+    return f"exit code {code}" if code >= 0 else f"signal {-code}"
 
 
 def _parsed(line: str) -> dict[str, Any] | None:

@@ -4,6 +4,7 @@ Needs no ROS.
 """
 
 import threading
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -16,44 +17,15 @@ from skinplan.inspection.coverage import CoverageSoFar
 from skinplan.inspection.measure import InspectionSettings, coverage_so_far, inspect
 from skinplan.inspection.merge import MergedCloud
 from skinplan.inspection.model import Inspection
+from skinplan.inspection.spool import FrameSpool
+from skinplan.inspection.spool_records import FrameRecord, HiddenRecord, PoseRecord, Record
 from skinplan.mesh.prepare import PreparedMesh
 from skinplan.scanner.samples import sample_surface
-from skinplan.transforms import Array, apply, inverse, rotate, transform
+from skinplan.transforms import Array, apply, inverse, rotate
+from skinplan_nodes.coarse_pose import CoarsePose
 
 # intensity, incidence, view direction x y z
 _COLUMNS = 5
-_FEWEST_PER_STAND = 3
-_MOST_PER_STAND = 400
-
-
-class CoarsePose:
-    """Where the part stands in the tracker frame, by the arm: good to some millimetres.
-
-    Each stand of the base gives ``T_tracker_scanner(t) @ T_scanner_arm_base(q(t)) @
-    T_arm_base_workpiece`` for many times t; the median over them, and over the stands, is not moved
-    by a few bad ones.
-    """
-
-    def __init__(self) -> None:
-        self._stands: dict[float, list[Array]] = {}
-
-    def add(self, stand: float, T_tracker_workpiece: Array) -> None:
-        """Takes an estimate in.
-
-        Args:
-            stand: What tells the stand from others: the time of its localisation.
-            T_tracker_workpiece: shape (4, 4) [m].
-        """
-        found = self._stands.setdefault(stand, [])
-        if len(found) < _MOST_PER_STAND:
-            found.append(T_tracker_workpiece)
-
-    def estimate(self) -> Array | None:
-        """Returns ``T_tracker_workpiece``, shape (4, 4) [m]; None = not known yet."""
-        stands = [
-            _median(poses) for poses in self._stands.values() if len(poses) >= _FEWEST_PER_STAND
-        ]
-        return _median(stands) if stands else None
 
 
 @dataclass(frozen=True)
@@ -80,6 +52,7 @@ class Progress:
     Attributes:
         frames: Scan frames received.
         frames_hidden: Frames left out because the tracker did not see the scanner.
+        frames_out_of_range: Frames of which points beyond range or incidence limit were left out.
         points: Points kept; those of the last frames are counted before they are merged.
         area_ratio: Share of the area seen [1]; NaN while the part is not located.
         feature_area_ratio: Same, complex regions only; NaN without any.
@@ -87,6 +60,7 @@ class Progress:
 
     frames: int
     frames_hidden: int
+    frames_out_of_range: int
     points: int
     area_ratio: float
     feature_area_ratio: float
@@ -107,52 +81,79 @@ class ScanSession:
         job_id: Job that it belongs to.
         prepared: The part's mesh and complex regions.
         settings: How to merge and judge.
+        spool: Keeps on disk what is taken in; None = in memory only.
     """
 
-    def __init__(self, job_id: str, prepared: PreparedMesh, settings: SessionSettings) -> None:
+    def __init__(
+        self,
+        job_id: str,
+        prepared: PreparedMesh,
+        settings: SessionSettings,
+        spool: FrameSpool | None = None,
+    ) -> None:
         self.job_id = job_id
         self._prepared = prepared
         self._settings = settings
+        self._spool = spool
         self._lock = threading.Lock()
         self._cloud = MergedCloud(settings.voxel_m, settings.points_max, _COLUMNS)
         self._coarse = CoarsePose()
         self._coverage = self._empty_coverage()
         self._waiting = _Waiting()
-        self._frames = 0
-        self._hidden = 0
+        self._frames = self._hidden = self._partial = 0
 
-    def add_frame(self, points: Array, values: dict[str, Array], direction: Array) -> None:
+    @property
+    def frames(self) -> int:
+        """Number of frames taken in."""
+        return self._frames
+
+    @property
+    def spool_failure(self) -> str:
+        """Why frames are no longer kept on disk; empty = they are, or were never meant to be."""
+        return "" if self._spool is None else self._spool.failure
+
+    def restore(self, records: Iterable[Record]) -> None:
+        """Takes in what an earlier process collected."""
+        with self._lock:
+            for record in records:
+                if isinstance(record, FrameRecord):
+                    self._take(record)
+                elif isinstance(record, PoseRecord):
+                    self._coarse.add(record.stand, record.T_tracker_workpiece)
+                else:
+                    self._hidden += 1
+
+    def add_frame(self, frame: FrameRecord) -> None:
         """Takes a scan frame in.
-
-        Args:
-            points: Tracker frame, shape (n, 3) [m].
-            values: ``intensity`` and ``incidence``, each shape (n,), where the scanner has them.
-            direction: View direction of the scanner, tracker frame, shape (3,).
 
         Raises:
             InputError: Points that can't be used.
         """
-        none = np.full(len(points), np.nan)
-        views = np.tile(direction, (len(points), 1))
-        extra = np.column_stack(
-            [values.get("intensity", none), values.get("incidence", none), views]
-        ).astype(np.float32)
         with self._lock:
-            self._frames += 1
-            if len(points):
-                self._cloud.add(points, extra)
-                self._waiting.points.append(points)
-                self._waiting.directions.append(views)
+            self._take(frame)
+            self._keep(frame)
 
     def add_hidden(self) -> None:
         """Counts a frame that the tracker did not see."""
         with self._lock:
             self._hidden += 1
+            self._keep(HiddenRecord())
 
     def add_coarse(self, stand: float, T_tracker_workpiece: Array) -> None:
         """Takes an estimate of the part's pose in, see `CoarsePose`."""
         with self._lock:
-            self._coarse.add(stand, T_tracker_workpiece)
+            if self._coarse.add(stand, T_tracker_workpiece):
+                self._keep(PoseRecord(stand, T_tracker_workpiece))
+
+    def merged(self) -> Array:
+        """Returns the merged cloud so far, tracker frame, shape (n, 3) [m]."""
+        with self._lock:
+            return self._cloud.points()[0]
+
+    def close(self) -> None:
+        """Ends keeping on disk; the file stays."""
+        if self._spool is not None:
+            self._spool.close()
 
     def progress(self) -> Progress:
         """Brings the coverage up to date and returns how far the scan is."""
@@ -164,6 +165,7 @@ class ScanSession:
             return Progress(
                 self._frames,
                 self._hidden,
+                self._partial,
                 self._cloud.about,
                 self._coverage.area_ratio if known else float("nan"),
                 self._coverage.feature_area_ratio if known else float("nan"),
@@ -184,6 +186,8 @@ class ScanSession:
         with self._lock:
             points, extra = self._cloud.points()
             coarse = self._coarse.estimate()
+            if self._spool is not None:
+                self._spool.sync()
         if len(points) == 0:
             raise NoCloudError(
                 f"job {self.job_id}: a cloud was asked for, but {self._frames} scan frames brought "
@@ -230,6 +234,20 @@ class ScanSession:
         radius = self._settings.coverage_radius_m
         return coverage_so_far(samples, self._prepared.segmentation, radius)
 
+    def _take(self, frame: FrameRecord) -> None:
+        if len(frame.points):
+            views = np.tile(frame.direction, (len(frame.points), 1))
+            extra = np.column_stack([frame.intensity, frame.incidence, views]).astype(np.float32)
+            self._cloud.add(frame.points, extra)
+            self._waiting.points.append(frame.points)
+            self._waiting.directions.append(views)
+        self._frames += 1
+        self._partial += frame.partial
+
+    def _keep(self, record: Record) -> None:
+        if self._spool is not None:
+            self._spool.add(record)
+
     def _cover(self, T_workpiece_tracker: Array) -> None:
         waiting, self._waiting = self._waiting, _Waiting()
         if waiting.points:
@@ -241,11 +259,3 @@ class ScanSession:
 
 def _values(extra: NDArray[np.float32]) -> dict[str, Array]:
     return {"intensity": extra[:, 0].astype(float), "incidence": extra[:, 1].astype(float)}
-
-
-def _median(poses: list[Array]) -> Array:
-    """Returns the median place and the mean turn (the nearest rotation to the mean matrix)."""
-    stacked = np.array(poses)
-    u, _, vt = np.linalg.svd(np.median(stacked[:, :3, :3], axis=0))
-    turn = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return transform(np.median(stacked[:, :3, 3], axis=0), turn)

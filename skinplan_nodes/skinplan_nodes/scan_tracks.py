@@ -10,6 +10,8 @@ from skinplan_nodes.conversions import LocatedPart
 # Stamps nearer than this are one moment.
 _SAME_MOMENT_S = 0.005
 _HISTORY = 2000
+# Poses may overtake each other by so much.
+_DISORDER_S = 0.25
 
 
 class Tracks:
@@ -43,9 +45,21 @@ class Tracks:
         """Returns the time of the newest scanner pose [s]; -inf = none."""
         return self._poses[-1][0] if self._poses else -math.inf
 
+    def reached_s(self, seen: bool) -> float:
+        """Returns up to when joint positions, and scanner poses while it is seen, have come [s]."""
+        stamps = [self._joints[-1][0]] if self._joints else []
+        if seen and self._poses:
+            stamps.append(self._poses[-1][0])
+        return min(stamps, default=0.0)
+
+    def forget(self) -> None:
+        """Forgets where scanner and arm were: the clock was set back, the times mean nothing."""
+        self._joints.clear()
+        self._poses.clear()
+
     def passed(self, stamp_s: float) -> bool:
-        """Tells whether no pose of that time will come any more: later ones are there."""
-        return bool(self._poses) and self._poses[-1][0] > stamp_s + _SAME_MOMENT_S
+        """Tells whether no pose of that time will come any more: much later ones are there."""
+        return bool(self._poses) and self._poses[-1][0] > stamp_s + _DISORDER_S
 
     def joints(self, stamp_s: float) -> Array | None:
         """Returns the joint positions at a time, linear between two; None = not known."""

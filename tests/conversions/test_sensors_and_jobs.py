@@ -256,7 +256,7 @@ def test_inspection_round_trip():
 
 
 def test_coverage_progress_round_trip():
-    progress = c.CoverageProgress("job", 5, 1, 900, 0.25, 0.125)
+    progress = c.CoverageProgress("job", 5, 1, 2, 900, 0.25, 0.125)
     msg = c.coverage_progress_to_msg(progress, 1.0)
     assert c.coverage_progress_from_msg(msg) == progress
     assert np.isnan(c.coverage_progress_to_msg(c.CoverageProgress("job")).area_ratio)

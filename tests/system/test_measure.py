@@ -207,7 +207,7 @@ def test_events_tell_the_way_of_the_job(run: GraphRun, folder: Path) -> None:
 
 
 def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) -> None:
-    run = start("--job-id", "job-2")
+    run = start("--job-id", "job-2", "--restarts", "0")
     run.until_sub_state("localizing")
     run.node("station_planner").send_signal(signal.SIGTERM)
     killed_s = time.monotonic()

@@ -13,13 +13,14 @@ from pathlib import Path
 import psutil
 import pytest
 
-from skinplan_nodes.processes import domain_of_graph
+from skinplan_nodes.dds_domain import domain_of_graph
 
 TIMEOUT_S = 20.0
 
 PROGRAM = """
 import sys
 from skinplan_nodes.processes import EndTimes, GraphManager
+from skinplan_nodes.restarts import RestartPolicy
 
 events = []
 manager = GraphManager(
@@ -27,6 +28,8 @@ manager = GraphManager(
     lambda name, code: print(f"died {{name}} {{code}}", flush=True),
     client={client!r},
     times=EndTimes(grace_s=1.0, client_s=1.0, terminate_s=1.0),
+    restarts=RestartPolicy({restarts}, first_wait_s={wait_s}),
+    on_restart=lambda name, code, count: print(f"restart {{name}} {{code}} {{count}}", flush=True),
 )
 for name, command in {processes!r}.items():
     manager.add_process(name, command)
@@ -49,8 +52,12 @@ CLIENT = (
 class Program:
     """A process manager in a program of its own, with all its processes."""
 
-    def __init__(self, processes: dict[str, str], client: str | None) -> None:
-        source = textwrap.dedent(PROGRAM).format(client=client, processes=processes)
+    def __init__(
+        self, processes: dict[str, str], client: str | None, restarts: int, wait_s: float
+    ) -> None:
+        source = textwrap.dedent(PROGRAM).format(
+            client=client, processes=processes, restarts=restarts, wait_s=wait_s
+        )
         self.process = subprocess.Popen(
             [sys.executable, "-c", source],
             stdout=subprocess.PIPE,
@@ -91,8 +98,13 @@ def wait_for(condition: Callable[[], bool]) -> None:
 def start() -> Iterator[Callable[[dict[str, str], str | None], Program]]:
     programs: list[Program] = []
 
-    def begin(processes: dict[str, str], client: str | None = None) -> Program:
-        programs.append(Program(processes, client))
+    def begin(
+        processes: dict[str, str],
+        client: str | None = None,
+        restarts: int = 0,
+        wait_s: float = 0.05,
+    ) -> Program:
+        programs.append(Program(processes, client, restarts, wait_s))
         return programs[-1]
 
     yield begin
@@ -149,6 +161,93 @@ def test_killed_manager_leaves_nothing(start: Callable[..., Program]) -> None:
     tree[0].kill()
     program.process.wait(TIMEOUT_S)
     wait_for(lambda: not program.running())
+
+
+def node_of(program: Program, marker: str, before: int = 0) -> psutil.Process:
+    """Waits for the program with a marker in its command, another one than before."""
+    found: list[psutil.Process] = []
+
+    def there() -> bool:
+        root = psutil.Process(program.process.pid)
+        program.tree = [root, *root.children(recursive=True)]
+        found[:] = [p for p in program.tree if marker in _command(p)[1:] and p.pid != before]
+        return bool(found)
+
+    wait_for(there)
+    return found[0]
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
+
+
+def marked(marker: str) -> str:
+    """A node that runs until it is killed."""
+    return f"exec {sys.executable} -c 'import time; time.sleep(600)' {marker}"
+
+
+def read_until(program: Program, line: str) -> None:
+    """Reads what the manager says up to a line."""
+    assert program.process.stdout is not None
+    for said in program.process.stdout:
+        if said.strip() == line:
+            return
+    raise AssertionError(f"never said: {line}")
+
+
+def test_a_killed_node_is_started_again_and_the_rest_goes_on(start: Callable[..., Program]) -> None:
+    program = start({"victim": marked("m1"), "other": marked("m2")}, restarts=2)
+    victim, other = node_of(program, "m1"), node_of(program, "m2")
+    for count in (1, 2):
+        victim.kill()
+        read_until(program, f"restart victim {-signal.SIGKILL} {count}")
+        read_until(program, f"restart victim None {count}")
+        victim = node_of(program, "m1", victim.pid)
+    assert other.is_running()
+    # Once too often: it is named, and everything ends.
+    victim.kill()
+    lines = program.lines()
+    assert f"died victim {-signal.SIGKILL}" in lines
+    assert not any(line.startswith("died other") for line in lines)
+    assert program.process.returncode == -signal.SIGKILL % 256
+    assert not program.running()
+
+
+def test_a_node_with_bad_parameters_is_not_started_again(start: Callable[..., Program]) -> None:
+    bad = f"exec {sys.executable} -c 'import sys; sys.exit(2)'"
+    program = start({"bad": bad, "other": NODE}, restarts=5)
+    lines = program.lines()
+    assert lines[0] == "died bad 2"
+    assert not any(line.startswith("restart") for line in lines)
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGKILL])
+def test_the_end_does_not_wait_for_a_restart(
+    start: Callable[..., Program], sent: signal.Signals
+) -> None:
+    program = start({"victim": marked("m1"), "other": marked("m2")}, restarts=2, wait_s=300.0)
+    victim = node_of(program, "m1")
+    node_of(program, "m2")
+    victim.kill()
+    read_until(program, f"restart victim {-signal.SIGKILL} 1")
+    program.process.send_signal(sent)
+    program.process.wait(TIMEOUT_S)
+    wait_for(lambda: not program.running())
+
+
+def test_end_of_the_client_does_not_wait_for_a_restart(start: Callable[..., Program]) -> None:
+    program = start({"victim": marked("m1"), "client": CLIENT}, "client", 2, 300.0)
+    victim = node_of(program, "m1")
+    read_until(program, "line client up")
+    victim.kill()
+    read_until(program, f"restart victim {-signal.SIGKILL} 1")
+    client = next(p for p in program.tree if "signal.signal" in " ".join(_command(p)[2:3]))
+    client.send_signal(signal.SIGINT)
+    assert program.lines()[-1] == "end 3"
+    assert not program.running()
 
 
 def test_domain_asked_for_is_taken() -> None:

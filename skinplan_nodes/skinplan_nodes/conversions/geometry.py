@@ -1,6 +1,7 @@
 """Times, headers, points and rigid transforms."""
 
 import math
+import struct
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,17 @@ def stamp_to_msg(time_s: float) -> Time:
 def stamp_from_msg(msg: Time) -> float:
     """Returns seconds."""
     return msg.sec + msg.nanosec * 1e-9
+
+
+def raw_stamp_s(data: bytes) -> float:
+    """Returns the stamp of a serialised message that begins with a header [s].
+
+    Args:
+        data: CDR: 4 bytes that tell the order of bytes, then seconds and nanoseconds.
+    """
+    order = "<" if data[1] & 1 else ">"
+    seconds, nanoseconds = struct.unpack_from(order + "iI", data, 4)
+    return float(seconds + nanoseconds * 1e-9)
 
 
 def duration_to_msg(duration_s: float) -> Duration:

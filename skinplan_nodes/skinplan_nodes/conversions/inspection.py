@@ -22,6 +22,7 @@ class CoverageProgress:
         job_id: Job that it belongs to.
         frames: Scan frames received.
         frames_hidden: Frames left out because the tracker did not see the scanner.
+        frames_out_of_range: Frames of which points beyond range or incidence limit were left out.
         points: Points kept.
         area_ratio: Share of the part's area seen [1]; NaN while the part is not located.
         feature_area_ratio: Same, complex regions only; NaN without any.
@@ -30,6 +31,7 @@ class CoverageProgress:
     job_id: str
     frames: int = 0
     frames_hidden: int = 0
+    frames_out_of_range: int = 0
     points: int = 0
     area_ratio: float = float("nan")
     feature_area_ratio: float = float("nan")
@@ -44,6 +46,7 @@ def coverage_progress_to_msg(
         job_id=progress.job_id,
         frames=progress.frames,
         frames_hidden=progress.frames_hidden,
+        frames_out_of_range=progress.frames_out_of_range,
         points=progress.points,
         area_ratio=progress.area_ratio,
         feature_area_ratio=progress.feature_area_ratio,
@@ -61,6 +64,7 @@ def coverage_progress_from_msg(msg: messages.CoverageState) -> CoverageProgress:
         msg.job_id,
         msg.frames,
         msg.frames_hidden,
+        msg.frames_out_of_range,
         msg.points,
         msg.area_ratio,
         msg.feature_area_ratio,

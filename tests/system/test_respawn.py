@@ -1,0 +1,138 @@
+"""Nodes that are killed come back, in a graph of two: the clock and a planner."""
+
+import signal
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+
+import psutil
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rosgraph_msgs.msg import Clock
+from skinplan_msgs.msg import Heartbeat
+
+from nodes.small_part import write_small_part
+from skinplan_nodes.conversions import stamp_from_msg
+from skinplan_nodes.qos import STATE
+from system.graph_run import GraphRun
+from system.test_processes import wait_for
+
+CLOCK, PLANNER = "sim_clock", "scan_path_planner"
+
+
+class Ear:
+    """Hears the time and the heartbeats of the graph."""
+
+    def __init__(self) -> None:
+        self.times: list[float] = []
+        self.pids: dict[str, list[int]] = {CLOCK: [], PLANNER: []}
+        self._context = Context()
+        rclpy.init(args=[], context=self._context)
+        self._node = Node("ear", context=self._context, use_global_arguments=False)
+        self._node.create_subscription(Clock, "/clock", self._on_clock, STATE)
+        self._node.create_subscription(Heartbeat, "heartbeat", self._on_beat, STATE)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def close(self) -> None:
+        rclpy.shutdown(context=self._context)
+        self._thread.join(20.0)
+        self._node.destroy_node()
+
+    def _on_clock(self, message: Clock) -> None:
+        self.times.append(stamp_from_msg(message.clock))
+
+    def _on_beat(self, message: Heartbeat) -> None:
+        self.pids[message.node.strip("/")].append(message.pid)
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            pass
+
+
+@pytest.fixture
+def ear() -> Iterator[Ear]:
+    found = Ear()
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Iterator[GraphRun]:
+    part = write_small_part(tmp_path)
+    assert part.source is not None
+    nodes = ["--serve", "--only", CLOCK, "--only", PLANNER]
+    options = ["--time-factor", "20", "--restarts", "2", "--job-id", "cell"]
+    found = GraphRun(tmp_path / "runs", part.source, *nodes, *options)
+    yield found
+    found.close()
+
+
+def kill(run: GraphRun, name: str) -> psutil.Process:
+    """Kills a node's process as it dies in the field: without a word."""
+    there: list[psutil.Process] = []
+
+    def found() -> bool:
+        module = f"skinplan_nodes.{name}"
+        there[:] = [p for p in run.processes() if module in _command(p)[:6]]
+        return bool(there)
+
+    wait_for(found)
+    (process,) = there
+    process.send_signal(signal.SIGKILL)
+    return process
+
+
+def _command(process: psutil.Process) -> list[str]:
+    try:
+        return process.cmdline()
+    except psutil.NoSuchProcess:
+        return []
+
+
+def until_back(run: GraphRun, name: str, count: int) -> None:
+    """Waits until a node has been started again for the count-th time."""
+    wanted = {"event": "node_restarted", "node": name, "restarts": count}
+    run.until(lambda event: event == wanted)
+
+
+def test_clock_and_planner_come_back_after_kill_9(run: GraphRun, ear: Ear) -> None:
+    wait_for(lambda: len(ear.times) > 20 and bool(ear.pids[CLOCK]) and bool(ear.pids[PLANNER]))
+    last_s = ear.times[-1]
+    killed = kill(run, CLOCK)
+    until_back(run, CLOCK, 1)
+    wait_for(lambda: ear.pids[CLOCK][-1] != killed.pid and ear.times[-1] > last_s + 5.0)
+    assert ear.times == sorted(ear.times), "time never runs back"
+    assert max(b - a for a, b in zip(ear.times, ear.times[1:], strict=False)) < 20.0, "no jump"
+    killed = kill(run, PLANNER)
+    until_back(run, PLANNER, 1)
+    wait_for(lambda: ear.pids[PLANNER][-1] != killed.pid)
+    same = "/cell/scan_path_planner.params.yaml"
+    assert any(word.endswith(same) for word in run.node(PLANNER).cmdline()), "the same parameters"
+    died = [e for e in run.events if e["event"] == "node_died"]
+    assert [(e["node"], e["signal"], e["restarted"]) for e in died] == [
+        (CLOCK, 9, True),
+        (PLANNER, 9, True),
+    ]
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait() == 130
+    run.wait_gone()
+
+
+def test_a_node_that_dies_again_and_again_ends_the_graph(run: GraphRun) -> None:
+    run.until(lambda e: e["event"] == "graph")
+    for count in (1, 2):
+        kill(run, CLOCK)
+        until_back(run, CLOCK, count)
+    kill(run, CLOCK)
+    assert run.wait() == 1
+    last = run.events[-1]
+    assert (last["event"], last["node"], last["restarted"]) == ("node_died", CLOCK, False)
+    run.wait_gone()
