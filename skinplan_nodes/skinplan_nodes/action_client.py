@@ -3,6 +3,7 @@
 import threading
 from typing import Any
 
+from action_msgs.srv import CancelGoal
 from rclpy.action import ActionClient
 from rclpy.task import Future
 
@@ -22,6 +23,20 @@ class ThreadedActionClient(ActionClient):
         """Sends a goal; as rclpy's."""
         with self._noting:
             return super().send_goal_async(*args, **kwargs)
+
+    def cancel_everything_async(self) -> Future:
+        """Asks the server to cancel all of its goals, whoever sent them.
+
+        A request without goal id and time means all (``action_msgs/srv/CancelGoal``); rclpy's own
+        methods only know the goals of this client.
+        """
+        with self._noting:
+            number = self._client_handle.send_cancel_request(CancelGoal.Request())
+            answer = Future()
+            self._pending_cancel_requests[number] = answer
+            answer.add_done_callback(self._remove_pending_cancel_request)
+            self.add_future(answer)
+        return answer
 
     def _cancel_goal_async(self, goal_handle: Any) -> Future:
         with self._noting:

@@ -29,16 +29,23 @@ from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.replies import ok, replies, status_of
 from skinplan_nodes.run import run_node
-from skinplan_nodes.supervisor.control import JobControl
+from skinplan_nodes.supervisor.control import JobControl, Request, StepError
 from skinplan_nodes.supervisor.desk import JobDesk
+from skinplan_nodes.supervisor.machine import Event, State
+from skinplan_nodes.supervisor.progress import Progress
+from skinplan_nodes.supervisor.restore import journal_age_s
 from skinplan_nodes.supervisor.ros_cell import RosCell
+from skinplan_nodes.supervisor.run_folder import RunFolder
+from skinplan_nodes.supervisor.settings import RESUMING, work_settings
 from skinplan_nodes.supervisor.waiters import JobWaiters
 from skinplan_nodes.supervisor.watch import NodeWatch
 from skinplan_nodes.supervisor.worker import JobWorker
 
 _LOOK_PERIOD_S = 1.0
 _END_TIMEOUT_S = 2.0
-_NO_NODES = ""
+_RECORDER = "run_recorder"
+# The cell's clock may be corrected by less than this [s].
+_CLOCK_BACK_S = 0.5
 
 
 class CellSupervisor(CellNode):
@@ -64,7 +71,7 @@ class CellSupervisor(CellNode):
         Parameter("report", True, "Write report.html after a job."),
         Parameter(
             "required_nodes",
-            [_NO_NODES],
+            [""],
             "Names of the nodes that a job needs; empty = none is watched.",
         ),
         Parameter(
@@ -95,6 +102,7 @@ class CellSupervisor(CellNode):
             1.0,
             3600.0,
         ),
+        *RESUMING,
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -103,16 +111,22 @@ class CellSupervisor(CellNode):
         config = configured_cell(values.cell_file)
         runs_folder = Path(values.runs_folder).absolute()
         self._watch = NodeWatch(tuple(values.required_nodes), values.silent_max_s)
-        self._cell = RosCell(self, values, self._watch.missing, self._is_lost)
-        self._worker = JobWorker(self._cell, config, runs_folder, _code_of, values.report)
+        self._announced: set[str] = set()
+        self._resuming = ""
+        self._clock_s = 0.0
+        self._cell = RosCell(self, values, self._watch, self._on_fault)
+        self._worker = JobWorker(self._cell, config, runs_folder, _code_of, work_settings(values))
         self._thread: threading.Thread | None = None
         self._waiters = JobWaiters(self)
         self._status = self.create_publisher(JobStatus, "job_status", LATCHED)
-        self._store = self._open_store(runs_folder)
+        self._store = JobStore(
+            Path(values.jobs_file) if values.jobs_file else runs_folder / "jobs.sqlite"
+        )
         self._desk = JobDesk(
             self._store, self._start_job, self._on_change, Status.JOB_ABORTED, values.auto_start
         )
         self._serve()
+        self._take_over(runs_folder)
 
     def close(self) -> None:
         """Ends the job on the cell: its devices stop, its folder says why."""
@@ -120,23 +134,28 @@ class CellSupervisor(CellNode):
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT_S)
 
-    def _open_store(self, runs_folder: Path) -> JobStore:
-        path = Path(self.values.jobs_file) if self.values.jobs_file else runs_folder / "jobs.sqlite"
-        store = JobStore(path)
-        for record in store.abort_unfinished(
-            Status.JOB_ABORTED, "the supervisor ended while the job was running"
-        ):
+    def _take_over(self, runs_folder: Path) -> None:
+        """Goes on with the job of the supervisor process before this one, if there is one."""
+        left = self._store.current()
+        fresh = left is not None and self._is_fresh(runs_folder / left.job.job_id)
+        if not (fresh and self.values.resume_at_start):
+            # A cell that was switched on does not move by itself: what waited waits for START.
+            for record in self._store.list():
+                if record.state is JobState.ALLOWED_TO_START:
+                    self._store.update(
+                        replace(record, state=JobState.NOT_ALLOWED_TO_START),
+                        "the supervisor was started anew",
+                    )
+        if left is not None:
             self.get_logger().warning(
-                f"job {record.job.job_id} was not finished by the supervisor before this one"
+                f"job {left.job.job_id} was not finished by the supervisor before this one"
             )
-        # A cell that was started anew does not move by itself: what waited has to be started again.
-        for record in store.list():
-            if record.state is JobState.ALLOWED_TO_START:
-                store.update(
-                    replace(record, state=JobState.NOT_ALLOWED_TO_START),
-                    "the supervisor was started anew",
-                )
-        return store
+            self._resuming = left.job.job_id
+            self._desk.take_over(left.job.job_id)
+        self._resuming = ""
+
+    def _is_fresh(self, folder: Path) -> bool:
+        return journal_age_s(RunFolder(folder)) <= float(self.values.resume_age_max_s)
 
     def _serve(self) -> None:
         self.create_service(JobSubmit, "jobs/submit", self._on_submit)
@@ -213,16 +232,19 @@ class CellSupervisor(CellNode):
 
     def _start_job(self, record: JobRecord, control: JobControl) -> None:
         self._cell.waiter.control = control
+        resume = record.job.job_id == self._resuming
         self._thread = threading.Thread(
-            target=self._work, args=(record.job, control), name="job", daemon=True
+            target=self._work, args=(record.job, control, resume), name="job", daemon=True
         )
         self._thread.start()
 
-    def _work(self, job: Job, control: JobControl) -> None:
-        def on_progress(progress: Any, folder: str) -> None:
-            self._desk.progress(job.job_id, progress, folder)
+    def _work(self, job: Job, control: JobControl, resume: bool) -> None:
+        def on_progress(
+            state: State, progress: Progress, folder: str, why: StepError | None
+        ) -> None:
+            self._desk.progress(job.job_id, state, progress, folder, why)
 
-        outcome = self._worker.work(job, control, on_progress)
+        outcome = self._worker.work(job, control, on_progress, resume)
         folder = "" if outcome.folder is None else str(outcome.folder.path)
         self._desk.finish(job.job_id, outcome.state, outcome.code, outcome.error, folder)
 
@@ -233,18 +255,41 @@ class CellSupervisor(CellNode):
             self.get_logger().error(f"job {record.job.job_id}: {record.error}")
 
     def _on_beat(self, message: Heartbeat) -> None:
-        self._watch.beat(message.node, time.monotonic(), message.pid)
+        name = message.node.rsplit("/", 1)[-1]
+        before_s = self._watch.last_beat_s(name)
+        another = self._watch.beat(name, time.monotonic(), message.pid)
+        announced = name in self._announced
+        self._announced.discard(name)
+        if another and not announced:
+            self._lose(name, f"node {name} was started anew", before_s)
 
     def _on_look(self) -> None:
         here = self.get_namespace()
         found = self.get_node_names_and_namespaces()
         self._watch.look(name for name, namespace in found if namespace == here)
-        lost = self._watch.lost(time.monotonic())
-        if lost is not None:
-            self._desk.abort_active(Status.NODE_LOST, f"node {lost} was lost", lost)
+        now_s = time.monotonic()
+        for name in self._watch.required:
+            if name not in self._announced and self._watch.is_lost(name, now_s):
+                self._announced.add(name)
+                self._lose(name, f"node {name} was lost", self._watch.last_beat_s(name))
+        self._look_at_clock()
 
-    def _is_lost(self, name: str) -> bool:
-        return self._watch.is_lost(name, time.monotonic())
+    def _lose(self, name: str, text: str, since_s: float) -> None:
+        """A node is gone, or has lost what it knew: the job stands still until it is back."""
+        needless = name == _RECORDER and self.values.without_recorder == "go_on"
+        self.get_logger().error(text)
+        if name in self._watch.required and not needless:
+            self._desk.ask(Request(Event.NODE_LOST, Status.NODE_LOST, text, name, since_s))
+
+    def _look_at_clock(self) -> None:
+        before_s, self._clock_s = self._clock_s, self.now_s()
+        if before_s - self._clock_s > _CLOCK_BACK_S:
+            text = f"the clock went back by {before_s - self._clock_s:.1f} s"
+            self._desk.ask(Request(Event.FAULT, Status.CLOCK_JUMPED, text, "clock"))
+
+    def _on_fault(self, request: Request) -> None:
+        self.get_logger().error(request.message)
+        self._desk.ask(request)
 
 
 def _with_id(job: Job) -> Job:

@@ -130,7 +130,7 @@ def test_missing_part_file_ends_the_job_with_its_name(desk: Callable[..., Desk])
 
 
 def test_silent_node_ends_the_job_with_its_name(desk: Callable[..., Desk], bench: Bench) -> None:
-    cell = desk(required_nodes=["planner", "nobody"], silent_max_s=2.0)
+    cell = desk(required_nodes=["planner", "nobody"], silent_max_s=2.0, recovery_timeout_s=1.0)
     beats = bench.tester.create_publisher(Heartbeat, "heartbeat", STATE)
     bench.wait(lambda: beats.get_subscription_count() > 0)
     beats.publish(Heartbeat(node="/planner", pid=1, count=1))

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import threading
 import time
 from pathlib import Path
 
@@ -14,9 +13,15 @@ import pytest
 from skinplan.errors import JobInvalidError
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
-from skinplan_nodes.supervisor.control import AbortError, JobControl
+from skinplan_nodes.supervisor.control import (
+    AbortError,
+    InterruptError,
+    JobControl,
+    Request,
+)
+from skinplan_nodes.supervisor.machine import Event
 from skinplan_nodes.supervisor.progress import Progress
-from skinplan_nodes.supervisor.run_data import RunData
+from skinplan_nodes.supervisor.run_data import Round
 from skinplan_nodes.supervisor.run_folder import RunFolder
 from skinplan_nodes.supervisor.watch import NodeWatch, process_runs
 
@@ -79,44 +84,47 @@ def test_watch_ignores_nodes_that_are_not_required() -> None:
     assert watch.lost(1.0) is None
 
 
-def test_abort_keeps_the_first_reason_and_ends_a_pause() -> None:
+def test_abort_keeps_the_first_reason_and_breaks_into_what_is_done() -> None:
     control = JobControl()
-    control.pause()
-    raised: list[AbortError] = []
-
-    def hold() -> None:
-        with pytest.raises(AbortError) as caught:
-            control.hold()
-        raised.append(caught.value)
-
-    waiter = threading.Thread(target=hold)
-    waiter.start()
+    control.check()
     control.abort(603, "node x was lost", "x")
     control.abort(804, "somebody asked")
-    waiter.join(10.0)
-    assert [(e.code, e.node, str(e)) for e in raised] == [(603, "x", "node x was lost")]
+    control.ask(Request(Event.PAUSE))
+    with pytest.raises(AbortError, match="node x was lost") as caught:
+        control.check()
+    assert (caught.value.code, caught.value.node) == (603, "x")
 
 
-def test_pause_holds_until_resume() -> None:
+def test_a_pause_breaks_in_until_it_is_taken_and_a_resume_takes_it_back() -> None:
     control = JobControl()
-    control.pause()
-    passed = threading.Event()
-    waiter = threading.Thread(target=lambda: (control.hold(), passed.set()))
-    waiter.start()
-    assert not passed.wait(0.2)
-    control.resume()
-    assert passed.wait(10.0)
-    waiter.join()
+    control.ask(Request(Event.PAUSE, message="look"))
+    with pytest.raises(InterruptError, match="look"):
+        control.check()
+    control.ask(Request(Event.RESUME))
+    control.check()
+    assert [control.take(), control.take()] == [Request(Event.RESUME), None]
+    control.enter(lambda: None, frozenset({Event.PAUSE}))
+    control.ask(Request(Event.PAUSE))
+    control.check()
+
+
+def test_a_state_that_lasts_too_long_breaks_in() -> None:
+    control = JobControl()
+    late = Request(Event.TIMED_OUT, 611, "too long")
+    control.enter(lambda: late, frozenset())
+    with pytest.raises(InterruptError, match="too long"):
+        control.check()
+    assert control.take() is late
 
 
 def test_progress_never_falls_and_time_left_shrinks() -> None:
     stations = tuple(Station(i, np.eye(4), np.arange(10)) for i in range(2))
     plan = StationPlan("rectangles", stations, 2, 0, False, 1.0, ())
-    progress = Progress().at("planning", 0.1).planned(plan, settle_s=5.0)
-    first = progress.at("driving", 0.05, station=1)
+    progress = Progress().at_state("planning", 0).reached(0.1).planned(plan, settle_s=5.0)
+    first = progress.at_state("driving", 1).reached(0.05)
     assert first.share == 0.1
     assert first.title == "driving at station 1 of 2"
-    second = first.at("driving", 0.5, station=2)
+    second = first.at_state("driving", 2)
     assert 0.0 < second.time_left_s < first.time_left_s
 
 
@@ -128,7 +136,7 @@ def _segment(kind: int, points: list[int]) -> Segment:
 
 
 def test_left_over_points_are_those_that_no_station_scanned_since() -> None:
-    data = RunData()
+    data = Round()
     skipped = tuple(SkippedPoint(p, "no inverse kinematics") for p in (3, 4))
     data.trajectories.append(StationTrajectory(0, (_segment(SCAN, [0, 1, 2]),), skipped))
     assert data.left_over() == {3: "no inverse kinematics", 4: "no inverse kinematics"}
@@ -146,7 +154,7 @@ def test_run_folder_accepts_logs_and_refuses_another_run(tmp_path: Path) -> None
     folder.finish({"job": {"id": "job", "state": "Ended"}, "value": float("nan")})
     assert json.loads(folder.summary.read_text())["value"] is None
     assert [p.name for p in folder.path.glob(".*")] == [], "no temporary file is left"
-    with pytest.raises(JobInvalidError, match="summary.json of an earlier run"):
+    with pytest.raises(JobInvalidError, match=r"summary\.json, state of an earlier run"):
         RunFolder.create(tmp_path, "job")
 
 

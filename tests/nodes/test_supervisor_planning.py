@@ -28,10 +28,15 @@ from skinplan_nodes.scan_path_planner import ScanPathPlanner
 from skinplan_nodes.station_planner import StationPlanner
 from skinplan_nodes.supervisor.control import AbortError, StepError
 from skinplan_nodes.supervisor.ros_cell import RosCell
+from skinplan_nodes.supervisor.watch import NodeWatch
 from skinplan_nodes.trajectory_planner import TrajectoryPlanner
 
 TIMEOUTS = SimpleNamespace(
-    planning_timeout_s=60.0, drive_timeout_s=1.0, localize_timeout_s=1.0, start_timeout_s=1.0
+    planning_timeout_s=60.0,
+    drive_timeout_s=1.0,
+    localize_timeout_s=1.0,
+    start_timeout_s=1.0,
+    stop_timeout_s=1.0,
 )
 
 
@@ -61,7 +66,7 @@ def bench(cell_file: Path) -> Iterator[Bench]:
 
 
 def cell_of(bench: Bench) -> RosCell:
-    return RosCell(bench.tester, TIMEOUTS, tuple, lambda name: False)
+    return RosCell(bench.tester, TIMEOUTS, NodeWatch(()))
 
 
 def through_msg(T_a_b: np.ndarray) -> np.ndarray:

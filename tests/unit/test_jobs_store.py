@@ -23,6 +23,7 @@ from skinplan.errors import (
 )
 from skinplan.jobs.checks import check_job, new_job_id
 from skinplan.jobs.model import Job, JobCommand, JobRecord, JobState
+from skinplan.jobs.rows import content_of
 from skinplan.jobs.states import COMMANDS, TRANSITIONS, apply_command, check_transition
 from skinplan.jobs.store import JobStore
 
@@ -134,24 +135,61 @@ def test_the_order_can_t_be_changed_by_an_update(store: JobStore) -> None:
     assert record.job.operator_name == store.get("job-1").job.operator_name == "Anna"
 
 
-def test_what_was_running_is_aborted_at_the_next_start(tmp_path: Path) -> None:
+def test_what_was_running_is_still_on_the_cell_after_a_restart(tmp_path: Path) -> None:
     first = JobStore(tmp_path / "jobs.db")
     first.submit(JOB)
     first.submit(replace(JOB, job_id="job-2"))
-    first.update(replace(first.get("job-1"), state=JobState.RUNNING))
+    first.update(replace(first.get("job-1"), state=JobState.RUNNING, rescan=1))
     second = JobStore(tmp_path / "jobs.db")
-    (lost,) = second.abort_unfinished(804, "the supervisor ended")
-    assert (lost.job.job_id, lost.state, lost.error) == (
-        "job-1",
-        JobState.ABORTED,
-        "the supervisor ended",
-    )
-    assert second.history("job-1")[-1].reason == "the supervisor ended"
+    left = second.current()
+    assert left is not None and (left.job.job_id, left.rescan) == ("job-1", 1)
+    assert second.next_to_run() is None
+    second.update(replace(left, state=JobState.INTERRUPTED), "started anew")
+    second.update(replace(left, state=JobState.RUNNING))
+    second.update(replace(left, state=JobState.ENDED))
     found = second.next_to_run()
     assert found is not None and found.job.job_id == "job-2"
-    assert second.abort_unfinished(804, "again") == ()
     first.close()
     second.close()
+
+
+def test_a_store_of_the_first_version_is_brought_up_to_date(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.db"
+    with JobStoreOfVersion1(path) as database:
+        database.execute("INSERT INTO jobs VALUES (1, ?, ?, 0, 2, 'scanning', 1, 2, 0.5, NULL, "
+                         "'/runs/job-1', 1, '', 7)", ("job-1", content_of(JOB)))  # fmt: skip
+    store = JobStore(path)
+    found = store.current()
+    assert found is not None
+    assert (found.sub_state, found.station_count, found.rescan) == ("scanning", 2, 0)
+    store.update(replace(found, rescan=2))
+    assert JobStore(path).get("job-1").rescan == 2
+    store.close()
+
+
+class JobStoreOfVersion1:
+    """The tables as they were, written out."""
+
+    def __init__(self, path: Path) -> None:
+        self._database = sqlite3.connect(path)
+        self._database.executescript(
+            "CREATE TABLE jobs (number INTEGER PRIMARY KEY AUTOINCREMENT, job_id TEXT NOT NULL "
+            "UNIQUE, content TEXT NOT NULL, priority INTEGER NOT NULL, state INTEGER NOT NULL, "
+            "sub_state TEXT NOT NULL, station INTEGER NOT NULL, station_count INTEGER NOT NULL, "
+            "progress REAL NOT NULL, time_left_s REAL, run_folder TEXT NOT NULL, error_code "
+            "INTEGER NOT NULL, error TEXT NOT NULL, changed_ns INTEGER NOT NULL);"
+            "CREATE TABLE history (number INTEGER PRIMARY KEY AUTOINCREMENT, job_id TEXT NOT NULL "
+            "REFERENCES jobs(job_id) ON DELETE CASCADE, at_ns INTEGER NOT NULL, state INTEGER NOT "
+            "NULL, sub_state TEXT NOT NULL, station INTEGER NOT NULL, reason TEXT NOT NULL);"
+            "PRAGMA user_version = 1;"
+        )
+
+    def __enter__(self) -> sqlite3.Connection:
+        return self._database
+
+    def __exit__(self, *_: object) -> None:
+        self._database.commit()
+        self._database.close()
 
 
 def test_threads_submit_the_same_job_once(store: JobStore) -> None:

@@ -64,10 +64,12 @@ class JobRecord:
     Attributes:
         job: The order.
         state: ISA-95 state.
-        sub_state: driving, localizing, planning, moving, scanning, inspecting, closing; empty when
-            not running.
+        sub_state: starting, driving, localizing, planning, moving, scanning, inspecting, closing;
+            while it stands still stopping, paused, waiting, recovering; on its way back restoring;
+            aborting; empty when it is over or has not begun.
         station: Number of the station being worked on, from 1; 0 = none.
         station_count: Stations of the plan; 0 = not planned yet.
+        rescan: Number of the re-scan of what was missing, from 1; 0 = first scan.
         progress: 0 to 1.
         time_left_s: Estimate on the cell's clock [s]; NaN = unknown.
         run_folder: Absolute path; empty = none yet.
@@ -87,3 +89,4 @@ class JobRecord:
     error_code: int = 1
     error: str = ""
     changed_ns: int = 0
+    rescan: int = 0

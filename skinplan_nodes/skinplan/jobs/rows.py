@@ -23,7 +23,8 @@ CREATE TABLE IF NOT EXISTS jobs (
     run_folder TEXT NOT NULL,
     error_code INTEGER NOT NULL,
     error TEXT NOT NULL,
-    changed_ns INTEGER NOT NULL
+    changed_ns INTEGER NOT NULL,
+    rescan INTEGER NOT NULL DEFAULT 0
 );
 CREATE TABLE IF NOT EXISTS history (
     number INTEGER PRIMARY KEY AUTOINCREMENT,
@@ -36,6 +37,10 @@ CREATE TABLE IF NOT EXISTS history (
 );
 CREATE INDEX IF NOT EXISTS history_of_job ON history(job_id, number);
 """
+#: What makes a store of each older version one of the next version.
+MIGRATIONS = {
+    1: "ALTER TABLE jobs ADD COLUMN rescan INTEGER NOT NULL DEFAULT 0;",
+}
 # Columns of `jobs` that are fields of a record, in the order in which they are written.
 FIELDS = (
     "state",
@@ -48,6 +53,7 @@ FIELDS = (
     "error_code",
     "error",
     "changed_ns",
+    "rescan",
 )
 
 

@@ -6,14 +6,14 @@ command                 effect
 START                   NotAllowedToStart -> AllowedToStart
 PAUSE                   Running -> Interrupted
 RESUME                  Interrupted -> Running
-STOP                    Running, Interrupted -> Ended (what was measured is kept)
+STOP                    Running, Interrupted -> Ended (at once; what was measured is kept)
 ABORT                   everything that is not over -> Aborted
 CANCEL                  NotAllowedToStart, AllowedToStart -> Aborted (never began)
 CLEAR                   Ended, Aborted: the job is forgotten, the state stays
 ======================= ===========================================================
 
-The cell itself makes AllowedToStart -> Running when it takes the job, and Running -> Ended or
-Aborted at its end.
+The cell itself makes AllowedToStart -> Running when it takes the job, Running -> Interrupted and
+back when a failure can be overcome, and Running -> Ended or Aborted at its end.
 """
 
 from skinplan.errors import JobCommandError

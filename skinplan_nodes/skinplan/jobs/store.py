@@ -4,7 +4,6 @@ Every change is one transaction: a process that is killed leaves the state befor
 nothing between.
 """
 
-import math
 import sqlite3
 import threading
 import time
@@ -16,10 +15,19 @@ from pathlib import Path
 from skinplan.errors import InputError, JobConflictError, JobUnknownError
 from skinplan.jobs.checks import check_job
 from skinplan.jobs.model import Job, JobRecord, JobState
-from skinplan.jobs.rows import FIELDS, TABLES, content_of, job_of, place_of, record_of, values_of
+from skinplan.jobs.rows import (
+    FIELDS,
+    MIGRATIONS,
+    TABLES,
+    content_of,
+    job_of,
+    place_of,
+    record_of,
+    values_of,
+)
 from skinplan.jobs.states import check_transition, is_over
 
-SCHEMA_VERSION = 1
+SCHEMA_VERSION = 2
 # Reason of history entries that the store makes itself.
 _SUBMITTED = "submitted"
 
@@ -212,30 +220,6 @@ class JobStore:
                 "state = ? ORDER BY priority DESC, number", JobState.ALLOWED_TO_START
             )
 
-    def abort_unfinished(self, error_code: int, error: str) -> tuple[JobRecord, ...]:
-        """Aborts what was Running or Interrupted when the process before this one ended.
-
-        Args:
-            error_code: Status code to give.
-            error: Why, one sentence.
-
-        Returns:
-            The jobs aborted.
-        """
-        aborted = []
-        with self._transaction():
-            while (record := self.current()) is not None:
-                lost = replace(
-                    record,
-                    state=JobState.ABORTED,
-                    sub_state="",
-                    error_code=error_code,
-                    error=error,
-                    time_left_s=math.nan,
-                )
-                aborted.append(self.update(lost))
-        return tuple(aborted)
-
     def _prepare(self) -> None:
         self._database.row_factory = sqlite3.Row
         self._database.execute("PRAGMA journal_mode = WAL")
@@ -247,9 +231,9 @@ class JobStore:
                 f"job store {self.path}: versions up to {SCHEMA_VERSION} are accepted, found "
                 f"version {version}"
             )
-        self._database.executescript(
-            f"BEGIN IMMEDIATE; {TABLES} PRAGMA user_version = {SCHEMA_VERSION}; COMMIT;"
-        )
+        older = [MIGRATIONS[number] for number in range(version, SCHEMA_VERSION) if version]
+        script = [*older, TABLES, f"PRAGMA user_version = {SCHEMA_VERSION};"]
+        self._database.executescript(f"BEGIN IMMEDIATE; {' '.join(script)} COMMIT;")
 
     @contextmanager
     def _transaction(self) -> Iterator[None]:

@@ -38,7 +38,7 @@ class Calls:
         """Calls a service and returns its response.
 
         Raises:
-            AbortError: The job is to end.
+            InterruptError: Something breaks into it.
             StepError: No server, no answer in time, or a status that is not OK, with the server's
                 own code.
         """
@@ -64,7 +64,7 @@ class Calls:
             The result, and whether the goal succeeded.
 
         Raises:
-            AbortError: The job is to end; the goal is cancelled.
+            InterruptError: Something breaks into it; the goal is cancelled.
             StepError: No server, goal rejected, or no end in time; then the goal is cancelled, too.
         """
         name = f"action {client._action_name}"

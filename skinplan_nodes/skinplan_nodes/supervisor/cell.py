@@ -10,6 +10,7 @@ from skinplan.scan_path.model import ScanPath
 from skinplan.stations.model import StationPlan
 from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.transforms import Array
+from skinplan_nodes.supervisor.control import StepError
 from skinplan_nodes.supervisor.run_data import PlannedPath
 
 
@@ -33,25 +34,32 @@ class Located:
 
 
 class Cell(Protocol):
-    """What a job asks of the cell. Every method waits, bounded, and raises `StepError`."""
+    """What a job asks of the cell.
+
+    Every method waits, bounded, and raises `StepError`; those that stop or close something do not
+    let themselves be interrupted.
+    """
 
     def wait_ready(self) -> None:
-        """Waits until all nodes that a job needs are alive."""
+        """Waits until all nodes that a job needs are alive and the cell's time runs."""
 
     def now_s(self) -> float:
         """Returns the cell's time [s]."""
 
     def start_recording(self, folder: Path, metadata: Mapping[str, str]) -> None:
-        """Opens the bag."""
+        """Opens a part of the bag."""
 
     def stop_recording(self) -> dict[str, Any]:
-        """Closes the bag; returns path, messages, bytes."""
+        """Closes the bag's part; returns path, messages, bytes."""
 
-    def start_inspection(self, job: Job) -> None:
-        """Begins to collect scan frames."""
+    def recorder_pid(self) -> int:
+        """Returns the process of the recorder, 0 = it is not there."""
+
+    def start_inspection(self, job: Job, folder: Path, resume: bool = False) -> int:
+        """Begins to collect scan frames, or goes on; returns how many there are already."""
 
     def finish_inspection(
-        self, job: Job, cloud: Path, timeout_s: float | None = None
+        self, job: Job, cloud: Path, timeout_s: float | None = None, go_on: bool = False
     ) -> dict[str, Any]:
         """Merges and measures; returns the figures of ``measured`` in ``summary.json``."""
 
@@ -61,8 +69,15 @@ class Cell(Protocol):
     def localize(self, job: Job, may_move: bool) -> Located:
         """Locates the part."""
 
-    def plan_path(self, job: Job) -> tuple[PlannedPath, dict[str, float]]:
-        """Plans the scan path; returns it and the wall time of its stages."""
+    def base_moved_m(self) -> float:
+        """Returns how far the base is from where it located the part; NaN = not known [m]."""
+
+    def plan_path(self, job: Job, seen: Path | None) -> tuple[PlannedPath, dict[str, float]]:
+        """Plans the scan path, or only what a cloud leaves out.
+
+        Returns:
+            The path, and the wall time of its stages [s].
+        """
 
     def plan_stations(self, job: Job, path: ScanPath, T_map_workpiece: Array) -> StationPlan:
         """Chooses the stations."""
@@ -70,7 +85,14 @@ class Cell(Protocol):
     def plan_trajectory(
         self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
     ) -> StationTrajectory | None:
-        """Makes the arm's motion at one station; None = not one point can be scanned from it."""
+        """Makes the arm's motion at one station, from where the arm stands.
+
+        Returns:
+            None = not one point can be scanned from it.
+        """
+
+    def arm_joints(self) -> Array | None:
+        """Returns where the arm stands, shape (6,) [rad]; None = not known."""
 
     def execute(self, segment: Segment) -> None:
         """Moves the arm along a segment."""
@@ -78,5 +100,34 @@ class Cell(Protocol):
     def enable_scanner(self, enabled: bool) -> None:
         """Switches the scanner."""
 
-    def halt(self) -> None:
-        """Stops arm and base at once and switches the scanner off, as far as they answer."""
+    def halt(self, stop_devices: bool) -> None:
+        """Stops arm and base, switches the scanner off, and sees to it that nothing moves.
+
+        Args:
+            stop_devices: Also by the devices' own stop, after which they refuse orders until they
+                are reset. Without, it is used when something still moves.
+        """
+
+    def not_recovered(self) -> StepError | None:
+        """Returns what is still missing after a failure that recovers by itself."""
+
+    def reset_devices(self, all_devices: bool) -> None:
+        """Resets the devices that we stopped, or all that stand still because of a fault."""
+
+    def encoded_path(self) -> bytes:
+        """Returns the path planned last, to be kept on disk."""
+
+    def encoded_stations(self) -> bytes:
+        """Returns the stations planned last, to be kept on disk."""
+
+    def encoded_trajectory(self, trajectory: StationTrajectory) -> bytes:
+        """Returns a trajectory, to be kept on disk."""
+
+    def restore_path(self, content: bytes) -> PlannedPath:
+        """Takes a path from disk as the one planned last."""
+
+    def restore_stations(self, content: bytes, T_map_workpiece: Array) -> StationPlan:
+        """Takes stations from disk as those planned last."""
+
+    def restored_trajectory(self, content: bytes) -> StationTrajectory:
+        """Returns a trajectory from disk."""

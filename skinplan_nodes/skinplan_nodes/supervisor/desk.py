@@ -9,11 +9,17 @@ from skinplan.errors import JobUnknownError
 from skinplan.jobs.model import Job, JobCommand, JobRecord, JobState
 from skinplan.jobs.states import apply_command
 from skinplan.jobs.store import JobStore
-from skinplan_nodes.supervisor.control import JobControl
+from skinplan_nodes.supervisor.control import JobControl, Request, StepError
+from skinplan_nodes.supervisor.machine import Event, State, job_state
 from skinplan_nodes.supervisor.progress import Progress
 
 #: Attribute of a job that overrides the cell's own ``auto_start``: "true" or "false".
 AUTO_START = "auto_start"
+_EVENTS = {
+    JobCommand.STOP: Event.STOP,
+    JobCommand.PAUSE: Event.PAUSE,
+    JobCommand.RESUME: Event.RESUME,
+}
 _log = logging.getLogger(__name__)
 
 
@@ -93,7 +99,7 @@ class JobDesk:
                 self._store.remove(job_id)
                 return record
             if self._active is not None and self._active.job.job_id == job_id:
-                return self._command_active(record, asked, state, reason)
+                return self._command_active(record, asked, reason)
             code = self._aborted_code if state is JobState.ABORTED else record.error_code
             text = _sentence(asked, reason) if state is JobState.ABORTED else record.error
             changed = self._store.update(
@@ -115,20 +121,62 @@ class JobDesk:
             if self._active is not None:
                 self._control.abort(code, message, node)
 
-    def progress(self, job_id: str, progress: Progress, run_folder: str) -> None:
-        """Stores how far the job on the cell is; called by the job's own thread."""
+    def ask(self, request: Request) -> None:
+        """Tells the job on the cell that something has happened, if there is a job."""
+        with self._lock:
+            if self._active is not None:
+                self._control.ask(request)
+
+    def take_over(self, job_id: str) -> None:
+        """Goes on with a job that another supervisor process has begun.
+
+        Args:
+            job_id: A job that is Running or Interrupted.
+        """
         with self._lock:
             record = self._store.get(job_id)
+            self._control = JobControl()
+            self._active = self._store.update(
+                replace(record, state=JobState.INTERRUPTED, sub_state=State.STOPPING.value),
+                "the supervisor was started anew",
+            )
+            self._on_change(self._active)
+            self._start(self._active, self._control)
+
+    def progress(
+        self,
+        job_id: str,
+        state: State,
+        progress: Progress,
+        run_folder: str,
+        why: StepError | None = None,
+    ) -> None:
+        """Stores how far the job on the cell is; called by the job's own thread.
+
+        Args:
+            job_id: The job.
+            state: State of the machine.
+            progress: How far it is.
+            run_folder: The run's folder.
+            why: Why it stands still; None = it does not.
+        """
+        with self._lock:
+            record = self._store.get(job_id)
+            failed = why is not None and why.code > 0
             changed = replace(
                 record,
+                state=job_state(state),
                 sub_state=progress.sub_state,
                 station=progress.station,
                 station_count=progress.station_count,
+                rescan=progress.rescan,
                 progress=progress.share,
                 time_left_s=progress.time_left_s,
                 run_folder=run_folder,
+                error_code=why.code if why is not None and failed else 1,
+                error=str(why) if failed else "",
             )
-            self._on_change(self._store.update(changed))
+            self._on_change(self._store.update(changed, "" if why is None else str(why)))
 
     def finish(
         self, job_id: str, state: JobState, code: int, error: str, run_folder: str = ""
@@ -172,19 +220,12 @@ class JobDesk:
             self._on_change(self._active)
             self._start(self._active, self._control)
 
-    def _command_active(
-        self, record: JobRecord, asked: JobCommand, state: JobState, reason: str
-    ) -> JobRecord:
+    def _command_active(self, record: JobRecord, asked: JobCommand, reason: str) -> JobRecord:
         _log.info("job %s: %s (%s)", record.job.job_id, asked.name, reason)
         if asked in (JobCommand.ABORT, JobCommand.CANCEL):
             self._control.abort(self._aborted_code, _sentence(asked, reason))
-        elif asked is JobCommand.STOP:
-            self._control.stop()
-        elif asked in (JobCommand.PAUSE, JobCommand.RESUME):
-            switch = self._control.pause if asked is JobCommand.PAUSE else self._control.resume
-            switch()
-            record = self._store.update(replace(record, state=state), reason)
-            self._on_change(record)
+        else:
+            self._control.ask(Request(_EVENTS[asked], message=_sentence(asked, reason)))
         return record
 
 

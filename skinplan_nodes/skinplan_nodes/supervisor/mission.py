@@ -1,209 +1,333 @@
-"""The steps of a job, in the order of the paper's Fig. 19. Needs no ROS: `Cell` is the wall.
-
-drive to the work position -> localise (approach until E >= T_E) -> scan path, stations -> for every
-station: drive, localise, trajectory, scan -> merge and inspect -> close the bag.
-"""
+"""A job's walk along the state machine: steps, interruptions, the way back. Needs no ROS."""
 
 import logging
 import time
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from skinplan.errors import SkinplanError
-from skinplan.jobs.model import Job
-from skinplan.part.model import Part
-from skinplan.robot.cell import CellConfig
-from skinplan.scan_path.model import ScanPath
-from skinplan.stations.model import SkippedPoint, Station, StationPlan
-from skinplan.trajectory.model import SCAN, StationTrajectory
-from skinplan.transforms import Array
-from skinplan_nodes.supervisor.cell import Cell, Located
-from skinplan_nodes.supervisor.control import JobControl, StepError
+from skinplan_nodes.supervisor.control import (
+    AbortError,
+    InterruptError,
+    JobControl,
+    Request,
+    StepError,
+)
+from skinplan_nodes.supervisor.faults import (
+    DEVICE_NOT_READY,
+    Answer,
+    Attempts,
+    Interruption,
+    answer_to,
+)
+from skinplan_nodes.supervisor.limits import Limits
+from skinplan_nodes.supervisor.machine import (
+    FINAL,
+    INTERRUPTED,
+    Event,
+    State,
+    after,
+    ignored,
+    sub_state,
+)
 from skinplan_nodes.supervisor.progress import Progress
-from skinplan_nodes.supervisor.run_data import Localization, PlannedPath, RunData
-from skinplan_nodes.supervisor.run_folder import RunFolder
+from skinplan_nodes.supervisor.restoring import Restoring
+from skinplan_nodes.supervisor.shares import share_of
+from skinplan_nodes.supervisor.steps import Steps
 
-# Status code of errors that are nobody's in particular (``skinplan_msgs/Status``).
-_INTERNAL = 1000
+# Status codes of errors that are nobody's in particular (``skinplan_msgs/Status``).
+_OK, _DISK_FULL, _INTERNAL = 1, 705, 1000
+_LOOK_S = 0.1
 _log = logging.getLogger(__name__)
 
 
-@dataclass
+@dataclass(frozen=True)
+class ResumeSettings:
+    """How a job goes on after an interruption.
+
+    Attributes:
+        automatic: Failures that allow it recover by themselves; otherwise each waits for RESUME.
+        attempts: So often a job goes on by itself after the same failure at the same node.
+        at_start: A job that another supervisor process has left goes on by itself.
+    """
+
+    automatic: bool = True
+    attempts: int = 3
+    at_start: bool = True
+
+
 class Mission:
     """One job on its way through the cell.
 
-    Attributes:
-        job: The order.
-        part: What is measured.
-        config: The cell's figures.
-        cell: The cell.
-        folder: Where the run is kept.
-        control: Switches of the job.
-        on_progress: Told after every change.
-        data: What was gathered so far.
+    Args:
+        steps: What is done in each state.
+        control: What is asked of the job from outside.
+        limits: How long each state may last.
+        settings: How it goes on after an interruption.
+        code_of: Status code of an error of the library.
+        on_progress: Told after every change: state, progress, why it stands still (None = it does
+            not).
     """
 
-    job: Job
-    part: Part
-    config: CellConfig
-    cell: Cell
-    folder: RunFolder
-    control: JobControl
-    on_progress: Callable[[Progress], None]
-    data: RunData
-    _progress: Progress = Progress()
-    _recording: bool = False
-
-    def run(self) -> None:
-        """Runs all steps.
-
-        Raises:
-            StepError: A step failed; `StepError.step` names it.
-        """
-        with self._step("starting", 0.0):
-            self.cell.wait_ready()
-            self.cell.start_recording(self.folder.bag, self._metadata())
-            self._recording = True
-            self.cell.start_inspection(self.job)
-        with self._step("driving", 0.01):
-            self.cell.drive(self.config.T_map_work)
-        with self._step("localizing", 0.03):
-            found = self._localize(0, may_move=True)
-        with self._step("planning", 0.06):
-            planned = self._plan_path()
-            plan = self._plan_stations(planned.path, found.T_map_workpiece)
-        for station in plan.stations:
-            if self.control.stopping:
-                break
-            self._measure_station(planned.path, station, len(plan.stations))
-        with self._step("inspecting", 0.94):
-            self.data.measured = self.cell.finish_inspection(self.job, self.folder.cloud)
-
-    def close(self) -> None:
-        """Closes the bag, also after a failure; what fails here is noted, not raised."""
-        if not self._recording:
-            return
-        self._recording = False
-        self._report("closing", 0.97)
-        try:
-            self.data.bag = self.cell.stop_recording()
-        except SkinplanError as error:
-            self.folder.note(f"closing: {error}")
-            _log.error("job %s: closing the bag: %s", self.job.job_id, error)
-
-    def _measure_station(self, path: ScanPath, station: Station, count: int) -> None:
-        number = self._progress.station + 1
-        begin, share = 0.12 + 0.82 * (number - 1) / count, 0.82 / count
-        points = sorted({*map(int, station.points), *self.data.left_over()})
-        with self._step("driving", begin, station=number):
-            self.cell.drive(station.T_map_base_link)
-        with self._step("localizing", begin + 0.06 * share):
-            found = self._localize(number, may_move=False)
-        with self._step("planning", begin + 0.12 * share):
-            trajectory = self._plan_trajectory(path, station, found.T_arm_base_workpiece, points)
-        self._scan(trajectory, begin + 0.2 * share, 0.8 * share)
-
-    def _localize(self, station: int, may_move: bool) -> Located:
-        found = self.cell.localize(self.job, may_move)
-        self.data.localizations.append(
-            Localization(
-                station, found.quality, found.attempts, found.stamp_s, found.T_arm_base_workpiece
-            )
-        )
-        self.folder.note(
-            f"station {station}: part located, E = {found.quality:.3f}, attempt {found.attempts}"
-        )
-        return found
-
-    def _plan_path(self) -> PlannedPath:
-        planned, stages = self.cell.plan_path(self.job)
-        self.data.planned = planned
-        self.data.planning_s.update(stages)
-        self.folder.write_plan(path=planned.path, coverage=planned.coverage)
-        self.folder.note(f"scan path of {len(planned.path)} points")
-        return planned
-
-    def _plan_stations(self, path: ScanPath, T_map_workpiece: Array) -> StationPlan:
-        begin = time.perf_counter()
-        plan = self.cell.plan_stations(self.job, path, T_map_workpiece)
-        self.data.planning_s["stations"] = time.perf_counter() - begin
-        self.data.station_plan = plan
-        self.folder.write_plan(station_plan=plan, T_map_workpiece=T_map_workpiece)
-        self.folder.note(f"{len(plan.stations)} stations")
-        self._progress = self._progress.planned(plan, self.config.settle_s)
-        return plan
-
-    def _plan_trajectory(
-        self, path: ScanPath, station: Station, T_arm_base_workpiece: Array, points: list[int]
-    ) -> StationTrajectory:
-        begin = time.perf_counter()
-        made = self.cell.plan_trajectory(self.job, path, station.id, T_arm_base_workpiece, points)
-        spent = time.perf_counter() - begin
-        self.data.planning_s["trajectory"] = self.data.planning_s.get("trajectory", 0.0) + spent
-        if made is None:
-            reason = "not reachable from this station"
-            made = StationTrajectory(station.id, (), tuple(SkippedPoint(p, reason) for p in points))
-        self.data.trajectories.append(made)
-        self.folder.write_plan(trajectories=self.data.trajectories)
-        self.folder.note(
-            f"station {station.id + 1}: {len(points)} points, {len(made.skipped)} left out, "
-            f"scan {made.scan_s:.1f} s, transit {made.transit_s:.1f} s"
-        )
-        return made
-
-    def _scan(self, trajectory: StationTrajectory, begin: float, share: float) -> None:
-        """Executes the segments; the scanner is on during SCAN segments only."""
-        total = max(trajectory.scan_s + trajectory.transit_s, 1e-9)
-        done = 0.0
-        for segment in trajectory.segments:
-            self.control.hold()
-            scanning = segment.kind == SCAN
-            self._progress = self._progress.left(total - done)
-            with self._step("scanning" if scanning else "moving", begin + share * done / total):
-                self._switch(scanning)
-                self.cell.execute(segment)
-            done += segment.duration_s
-        with self._step("moving", begin + share):
-            self._switch(False)
-
-    def _switch(self, scanning: bool) -> None:
-        if scanning != self._progress.scanner_on:
-            self.cell.enable_scanner(scanning)
-            self._progress = self._progress.switched(scanning)
-
-    @contextmanager
-    def _step(self, name: str, share: float, station: int | None = None) -> Iterator[None]:
-        """Reports a step; an error inside is raised with the step's name."""
-        self.control.check()
-        self._report(name, share, station)
-        try:
-            yield
-        except StepError as error:
-            error.step = self._progress.title
-            raise
-        except SkinplanError as error:
-            raise _named(error, self._progress.title) from error
-
-    def _report(self, name: str, share: float, station: int | None = None) -> None:
-        before = (self._progress.sub_state, self._progress.station)
-        self._progress = self._progress.at(name, share, station)
-        if (name, self._progress.station) != before:
-            self.folder.note(self._progress.title)
-        self.on_progress(self._progress)
-
-    def _metadata(self) -> dict[str, str]:
-        job = self.job
-        named = {"job_id": job.job_id, "order_id": job.order_id, "serial_number": job.serial_number}
-        part = {
-            "part": self.part.id,
-            "part_uri": job.part_uri,
-            "mesh_sha256": self.part.mesh_sha256,
+    def __init__(
+        self,
+        steps: Steps,
+        control: JobControl,
+        limits: Limits,
+        settings: ResumeSettings,
+        code_of: Callable[[SkinplanError], int],
+        on_progress: Callable[[State, Progress, StepError | None], None],
+    ) -> None:
+        self._steps = steps
+        self._control = control
+        self._limits = limits
+        self._settings = settings
+        self._code_of = code_of
+        self._on_progress = on_progress
+        self._attempts = Attempts(settings.attempts)
+        self._restoring = Restoring(steps, control)
+        self._held: tuple[Interruption, float] | None = None
+        self.failure: StepError | None = None
+        self._actions: dict[State, Callable[[], Event]] = {
+            State.STARTING: steps.starting,
+            State.DRIVING: steps.driving,
+            State.LOCALIZING: steps.localizing,
+            State.PLANNING_PATH: steps.planning_path,
+            State.PLANNING_STATIONS: steps.planning_stations,
+            State.PLANNING_TRAJECTORY: steps.planning_trajectory,
+            State.MOVING: steps.moving,
+            State.SCANNING: steps.scanning,
+            State.INSPECTING: steps.inspecting,
+            State.FINISHING: steps.finishing,
+            State.STOPPING: self._stop,
+            State.PAUSED: self._wait_for_operator,
+            State.WAITING: self._wait_for_operator,
+            State.RECOVERING: self._recover,
+            State.RESTORING: self._restore,
+            State.CLOSING: steps.closing,
+            State.ABORTING: self._abort,
         }
-        return {**named, **part, **dict(job.attributes)}
 
+    def run(self, state: State = State.STARTING, why: StepError | None = None) -> State:
+        """Walks until the job is over.
 
-def _named(error: SkinplanError, step: str) -> StepError:
-    found = StepError(_INTERNAL, str(error))
-    found.step = step
-    return found
+        Args:
+            state: Where to begin.
+            why: Why a job that is taken over stands still.
+
+        Returns:
+            ENDED or ABORTED; then `failure` says why.
+        """
+        event = Event.DONE
+        if why is not None:
+            self._restoring.taken_over = True
+            self._hold(why)
+        while True:
+            self._enter(state, event)
+            if state in FINAL:
+                return state
+            event = self._perform(state)
+            state = after(state, event)
+
+    def _enter(self, state: State, event: Event) -> None:
+        steps, place = self._steps, self._steps.place
+        if state in FINAL:
+            self._write_down(lambda: steps.record.over(state, self._code()))
+            return
+        self._control.enter(self._limits.late(state, steps.cell.now_s), ignored(state))
+        if state not in (*INTERRUPTED, State.RESTORING, State.ABORTING):
+            place.state = state
+            self._release()
+        self._write_down(lambda: steps.record.entered(state, event, place))
+        if state in (State.DRIVING, State.MOVING, State.SCANNING):
+            steps.bag.tend()
+        self._report(state)
+
+    def _code(self) -> int:
+        return _OK if self.failure is None else self.failure.code
+
+    def _write_down(self, write: Callable[[], None]) -> None:
+        try:
+            write()
+        except OSError as error:
+            # What can't be written down can't be resumed, but it can be brought to its end.
+            _log.error("the journal can't be written: %s", error)
+
+    def _report(self, state: State) -> None:
+        steps = self._steps
+        before = steps.progress.title
+        name = sub_state(state)
+        steps.progress = share_of(state, steps.progress.at_state(name, steps.place.station), steps)
+        if steps.progress.title != before:
+            steps.record.folder.note(steps.progress.title)
+        why = self._why if state in INTERRUPTED else None
+        self._on_progress(state, steps.progress, why)
+
+    def _perform(self, state: State) -> Event:
+        try:
+            if state not in (*INTERRUPTED, State.CLOSING, State.ABORTING):
+                self._control.check()
+            return self._actions[state]()
+        except InterruptError as error:
+            return self._interrupted(state, error)
+        except Exception as error:  # whatever it is, the job ends with a name and a reason
+            return self._failed(state, self._named(error))
+
+    def _interrupted(self, state: State, error: InterruptError) -> Event:
+        event = error.request.event
+        self._control.take((event,))
+        error.step = error.step or self._steps.progress.title
+        if event is Event.ABORT:
+            self.failure = error
+        elif state is not State.RECOVERING or event is not Event.NODE_LOST:
+            self._hold(error)
+        return event
+
+    def _failed(self, state: State, error: StepError) -> Event:
+        answer = answer_to(error.code)
+        nothing_begun = state is State.STARTING and error.code == DEVICE_NOT_READY
+        if state in (State.CLOSING, State.ABORTING):
+            self._steps.record.folder.note(f"{state.value}: {error}")
+            return Event.FAILED
+        if state in INTERRUPTED or nothing_begun or answer is Answer.FATAL or self._steps.stopped:
+            self.failure = error
+            return Event.FAILED
+        self._hold(error)
+        return Event.FAULT
+
+    def _named(self, error: Exception) -> StepError:
+        if not isinstance(error, StepError):
+            if not isinstance(error, SkinplanError | OSError):
+                _log.error("unexpected error", exc_info=error)
+            code = self._code_of(error) if isinstance(error, SkinplanError) else _INTERNAL
+            if isinstance(error, OSError) and error.errno == 28:
+                code = _DISK_FULL
+            error = StepError(code, str(error) or type(error).__name__)
+        error.step = error.step or self._steps.progress.title
+        return error
+
+    # --- held ---
+
+    @property
+    def _why(self) -> StepError | None:
+        return self._restoring.worst()
+
+    def _hold(self, error: StepError) -> None:
+        """Notes why the job is to stand still; the first reason of an interruption counts."""
+        steps = self._steps
+        stop = isinstance(error, InterruptError) and error.request.event is Event.STOP
+        if stop:
+            steps.stopped = True
+        if self._held is None:
+            found = Interruption(
+                steps.cell.now_s(), steps.place.state.value, error.code, str(error), error.node
+            )
+            self._held = found, time.monotonic()
+            steps.record.data.interruptions.append(found)
+        steps.record.interrupted(steps.place.state, error.code, str(error))
+        self._restoring.note(error)
+        worst = self._why
+        if worst is not None:
+            found = self._held[0]
+            found.code, found.reason, found.node = worst.code, str(worst), worst.node
+
+    def _release(self) -> None:
+        """The job goes on: says how long it stood."""
+        if self._held is None:
+            return
+        found, since_s = self._held
+        self._held = None
+        if not self._steps.stopped:
+            found.resumed_after_s = time.monotonic() - since_s
+            self._steps.record.resumed(found.resumed_after_s)
+        self._restoring.forget()
+
+    def _stop(self) -> Event:
+        """Makes everything stand still, and says whose turn it is."""
+        steps = self._steps
+        steps.cell.halt(stop_devices=steps.stopped or not self._restoring.only_commands())
+        steps.progress = steps.progress.switched(False)
+        self._restoring.locate_arm()
+        # What came in meanwhile is part of the same interruption.
+        breaking = (Event.STOP, Event.FAULT, Event.NODE_LOST, Event.PAUSE)
+        while (also := self._control.take(breaking)) is not None:
+            self._hold(InterruptError(also))
+        return self._whose_turn()
+
+    def _whose_turn(self) -> Event:
+        restoring, why = self._restoring, self._why
+        if self._steps.stopped:
+            return Event.HELD_STOP
+        if why is None or restoring.paused():
+            return Event.HELD_PAUSED
+        by_itself = self._settings.automatic
+        if restoring.taken_over:
+            by_itself = by_itself and self._settings.at_start
+        if not by_itself or answer_to(why.code) is not Answer.AUTOMATIC:
+            return Event.HELD_OPERATOR
+        if not self._attempts.another(why):
+            self.failure = why
+            return Event.FAILED
+        return Event.HELD_AUTOMATIC
+
+    def _wait_for_operator(self) -> Event:
+        return self._poll(lambda: None)
+
+    def _recover(self) -> Event:
+        """Waits until the cause is gone."""
+
+        def recovered() -> Event | None:
+            missing = self._steps.cell.not_recovered()
+            if missing is None:
+                return Event.DONE
+            if answer_to(missing.code) is not Answer.AUTOMATIC:
+                self._hold(missing)
+                return Event.FAULT
+            return None
+
+        return self._poll(recovered)
+
+    def _poll(self, done: Callable[[], Event | None]) -> Event:
+        while True:
+            asked = self._control.take()
+            if asked is not None:
+                return self._answered(asked)
+            event = done()
+            if event is not None:
+                return event
+            self._control.wait(_LOOK_S)
+
+    def _answered(self, asked: Request) -> Event:
+        """Takes in what is asked of a job that stands still."""
+        if asked.event in (Event.ABORT, Event.TIMED_OUT):
+            kind = AbortError if asked.event is Event.ABORT else InterruptError
+            self.failure, why = kind(asked), self._why
+            if asked.event is Event.TIMED_OUT and why is not None and why.code:
+                # The failure that nobody ended is what ends the job.
+                self.failure = StepError(why.code, f"{why} ({asked.message})", why.node)
+            self.failure.step = self._steps.place.state.value
+        elif asked.event is Event.STOP:
+            self._steps.stopped = True
+        elif asked.event in (Event.FAULT, Event.NODE_LOST):
+            self._hold(InterruptError(asked))
+        elif asked.event is Event.RESUME:
+            self._restoring.by_operator = True
+        return asked.event
+
+    def _restore(self) -> Event:
+        event = self._restoring.run()
+        self._steps.place.resuming = True
+        return event
+
+    def _abort(self) -> Event:
+        """Stops everything, merges what was scanned, closes the bag."""
+        steps = self._steps
+        try:
+            steps.cell.halt(stop_devices=True)
+        except StepError as error:
+            steps.record.folder.note(f"aborting: {error}")
+            _log.error("aborting: %s", error)
+        steps.progress = steps.progress.switched(False)
+        self._restoring.salvage(self.failure)
+        steps.closing()
+        return Event.DONE

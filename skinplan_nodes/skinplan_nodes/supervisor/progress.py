@@ -20,6 +20,7 @@ class Progress:
         share: Share done, 0 to 1; never falls.
         station: Number of the station being worked on, from 1; 0 = none.
         station_count: Stations of the plan; 0 = not planned yet.
+        rescan: Number of the re-scan of what was missing; 0 = first scan.
         scanner_on: Whether the scanner is switched on.
         later_s: Estimated time of the stations still to come, each [s].
         time_left_s: Estimate on the cell's clock [s]; NaN = unknown.
@@ -29,6 +30,7 @@ class Progress:
     share: float = 0.0
     station: int = 0
     station_count: int = 0
+    rescan: int = 0
     scanner_on: bool = False
     later_s: tuple[float, ...] = ()
     time_left_s: float = math.nan
@@ -38,27 +40,29 @@ class Progress:
         """The step in words, e.g. ``scanning at station 2 of 3``."""
         if self.station == 0:
             return self.sub_state
-        return f"{self.sub_state} at station {self.station} of {self.station_count}"
+        again = f", re-scan {self.rescan}" if self.rescan else ""
+        return f"{self.sub_state} at station {self.station} of {self.station_count}{again}"
 
-    def at(self, sub_state: str, share: float, station: int | None = None) -> "Progress":
-        """Returns the progress at the begin of a step."""
-        number = self.station if station is None else station
+    def at_state(self, sub_state: str, station: int) -> "Progress":
+        """Returns the progress at the begin of a state."""
         left = self.time_left_s
-        if station is not None and self.later_s:
-            left = sum(self.later_s[number - 1 :])
-        return replace(
-            self,
-            sub_state=sub_state,
-            share=min(1.0, max(self.share, share)),
-            station=number,
-            time_left_s=left,
-        )
+        if station != self.station and self.later_s:
+            left = sum(self.later_s[max(0, station - 1) :])
+        return replace(self, sub_state=sub_state, station=station, time_left_s=left)
 
-    def planned(self, plan: StationPlan, settle_s: float) -> "Progress":
+    def reached(self, share: float) -> "Progress":
+        """Returns the progress with so much done; it never falls."""
+        return replace(self, share=min(1.0, max(self.share, share)))
+
+    def planned(self, plan: StationPlan, settle_s: float, rescan: int = 0) -> "Progress":
         """Returns the progress after the stations are known."""
         later = tuple(len(s.points) * _POINT_S + settle_s + _DRIVE_S for s in plan.stations)
         return replace(
-            self, station_count=len(plan.stations), later_s=later, time_left_s=sum(later)
+            self,
+            station_count=len(plan.stations),
+            later_s=later,
+            time_left_s=sum(later),
+            rescan=rescan,
         )
 
     def left(self, here_s: float) -> "Progress":

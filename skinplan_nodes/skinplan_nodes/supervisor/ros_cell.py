@@ -11,10 +11,12 @@ from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import NavigateToPose
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message
-from sensor_msgs.msg import JointState
+from rclpy.serialization import deserialize_message, serialize_message
 from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import InspectionResult, PartReference, Status
+from skinplan_msgs.msg import ScanPath as ScanPathMsg
+from skinplan_msgs.msg import StationPlan as StationPlanMsg
+from skinplan_msgs.msg import StationTrajectory as StationTrajectoryMsg
 from skinplan_msgs.srv import (
     InspectionFinish,
     InspectionStart,
@@ -42,13 +44,16 @@ from skinplan_nodes.conversions import (
     scan_path_from_msg,
     station_plan_from_msg,
     station_trajectory_from_msg,
+    station_trajectory_to_msg,
 )
-from skinplan_nodes.qos import STATE
 from skinplan_nodes.supervisor.calls import Calls
 from skinplan_nodes.supervisor.cell import Located
-from skinplan_nodes.supervisor.control import AbortError, JobControl, StepError
+from skinplan_nodes.supervisor.control import InterruptError, Request, StepError
+from skinplan_nodes.supervisor.devices import Devices
+from skinplan_nodes.supervisor.motion import Motion, distance_m
 from skinplan_nodes.supervisor.run_data import PlannedPath
 from skinplan_nodes.supervisor.waiting import Waiter
+from skinplan_nodes.supervisor.watch import NodeWatch
 
 _SERVICE_S = 10.0
 _INSPECT_S = 120.0
@@ -64,27 +69,30 @@ class RosCell:
     Args:
         node: The supervisor.
         values: Its parameters ``planning_timeout_s``, ``drive_timeout_s``, ``localize_timeout_s``,
-            ``start_timeout_s``.
-        missing: Returns the names of the required nodes that were not seen yet.
-        is_lost: Whether a node was seen and is gone.
+            ``start_timeout_s``, ``stop_timeout_s``.
+        watch: Which nodes are alive.
+        on_fault: Told when a device can't go on.
     """
 
     def __init__(
         self,
         node: Node,
         values: SimpleNamespace,
-        missing: Callable[[], tuple[str, ...]],
-        is_lost: Callable[[str], bool],
+        watch: NodeWatch,
+        on_fault: Callable[[Request], None] = lambda _: None,
     ) -> None:
         self._node = node
         self._values = values
-        self._missing = missing
-        self.waiter = Waiter(self.now_s, is_lost)
+        self._watch = watch
+        self.waiter = Waiter(self.now_s, lambda name: watch.is_lost(name, time.monotonic()))
         self._calls = Calls(node, self.waiter)
-        self._joint_state: bytes | None = None
+        self._devices = Devices(node, self.waiter, on_fault)
+        self._motion = Motion(node)
+        self._T_odom_located: Array | None = None
         self._path_msg: Any = None
         # Of the stations planned last; without a frame: not known.
         self._tracker, self._map_pose = PoseStamped(), PoseStamped()
+        self._stations_msg = StationPlanMsg()
         self.inspected = InspectionResult()
         group = ReentrantCallbackGroup()
         self._services = {
@@ -95,27 +103,45 @@ class RosCell:
             kind: ThreadedActionClient(node, kind, name, callback_group=group)
             for kind, name in _ACTIONS.items()
         }
-        node.create_subscription(JointState, "joint_states", self._on_joint_state, STATE, raw=True)
 
     def wait_ready(self) -> None:
         """Waits until all nodes that a job needs are alive and the cell's time runs."""
         deadline = time.monotonic() + self._values.start_timeout_s
-        while self._missing() or self.now_s() <= 0.0:
+        while (names := self._watch.absent(time.monotonic())) or self.now_s() <= 0.0:
             self.waiter.control.check()
             if time.monotonic() > deadline:
-                names = ", ".join(self._missing())
-                what = f"the nodes {names} were not seen" if names else "the clock does not run"
-                node = self._missing()[0] if names else "sim_clock"
+                text = ", ".join(names)
+                what = f"the nodes {text} were not seen" if names else "the clock does not run"
                 raise StepError(
                     Status.DEVICE_NOT_READY,
                     f"{what} within {self._values.start_timeout_s:g} s",
-                    node,
+                    names[0] if names else "sim_clock",
                 )
             time.sleep(0.05)
+        for error in self._devices.faults():
+            raise error
+
+    def not_recovered(self) -> StepError | None:
+        """Returns what is still missing after a failure that recovers by itself."""
+        for error in self._devices.faults():
+            self._devices.reset_by_itself()
+            return error
+        absent = self._watch.absent(time.monotonic())
+        if absent:
+            return StepError(Status.NODE_LOST, f"node {absent[0]} is not back", absent[0])
+        return None
+
+    def reset_devices(self, all_devices: bool) -> None:
+        """Resets the devices that we stopped, or all that stand still because of a fault."""
+        self._devices.reset(all_devices)
 
     def now_s(self) -> float:
         """Returns the cell's time [s]."""
         return float(self._node.get_clock().now().nanoseconds) * 1e-9
+
+    def recorder_pid(self) -> int:
+        """Returns the process of the recorder, 0 = it is not there."""
+        return self._watch.pid("run_recorder", time.monotonic())
 
     def start_recording(self, folder: Path, metadata: Mapping[str, str]) -> None:
         """Opens the bag."""
@@ -123,9 +149,9 @@ class RosCell:
         self._call(RecorderStart, request, _SERVICE_S, "run_recorder")
 
     def stop_recording(self) -> dict[str, Any]:
-        """Closes the bag; works also for a job that is being aborted."""
-        self.waiter.control = JobControl()
-        response = self._call(RecorderStop, RecorderStop.Request(), _CLOSE_S, "run_recorder")
+        """Closes the bag's part; nothing breaks into it."""
+        with self.waiter.undisturbed():
+            response = self._call(RecorderStop, RecorderStop.Request(), _CLOSE_S, "run_recorder")
         return {
             "path": response.folder,
             "messages": response.messages,
@@ -134,16 +160,19 @@ class RosCell:
             "dropped": response.dropped,
         }
 
-    def start_inspection(self, job: Job) -> None:
-        """Begins to collect scan frames."""
-        request = InspectionStart.Request(job_id=job.job_id, part=_reference(job))
-        self._call(InspectionStart, request, self._values.planning_timeout_s, "scan_inspector")
+    def start_inspection(self, job: Job, folder: Path, resume: bool = False) -> int:
+        """Begins to collect scan frames, or goes on."""
+        request = InspectionStart.Request(
+            job_id=job.job_id, part=_reference(job), folder=str(folder), resume=resume
+        )
+        timeout_s = self._values.planning_timeout_s
+        return int(self._call(InspectionStart, request, timeout_s, "scan_inspector").frames)
 
     def finish_inspection(
-        self, job: Job, cloud: Path, timeout_s: float | None = None
+        self, job: Job, cloud: Path, timeout_s: float | None = None, go_on: bool = False
     ) -> dict[str, Any]:
         """Merges and measures."""
-        request = InspectionFinish.Request(job_id=job.job_id, cloud_uri=str(cloud))
+        request = InspectionFinish.Request(job_id=job.job_id, cloud_uri=str(cloud), go_on=go_on)
         response = self._call(InspectionFinish, request, timeout_s or _INSPECT_S, "scan_inspector")
         self.inspected = result = response.result
         return {
@@ -178,6 +207,7 @@ class RosCell:
                 result.status.message or "the localisation ended without a reason",
                 "aruco_localizer",
             )
+        self._T_odom_located = self._motion.base()
         found = part_pose_from_msg(result.part_pose)
         T_map_workpiece = pose_stamped_from_msg(result.map_pose, "map", "pose of the part")
         return Located(
@@ -188,20 +218,19 @@ class RosCell:
             found.stamp_s,
         )
 
-    def plan_path(self, job: Job) -> tuple[PlannedPath, dict[str, float]]:
-        """Plans the scan path."""
-        request = PlanScanPath.Request(part=_reference(job))
+    def base_moved_m(self) -> float:
+        """Returns how far the base is from where it located the part; NaN = not known [m]."""
+        return distance_m(self._T_odom_located, self._motion.base())
+
+    def plan_path(self, job: Job, seen: Path | None = None) -> tuple[PlannedPath, dict[str, float]]:
+        """Plans the scan path, or only what a cloud leaves out."""
+        request = PlanScanPath.Request(
+            part=_reference(job), seen_cloud="" if seen is None else str(seen)
+        )
         response = self._call(
             PlanScanPath, request, self._values.planning_timeout_s, "scan_path_planner"
         )
-        self._path_msg = found = response.path
-        planned = PlannedPath(
-            scan_path_from_msg(found),
-            coverage_figures_from_msg(found.coverage),
-            found.triangles,
-            found.area,
-            found.mesh_sha256,
-        )
+        planned = self._take_path(response.path)
         mesh_s, coverage_s = response.mesh_time, response.coverage_time
         rest_s = max(0.0, response.planning_time - mesh_s - coverage_s)
         return planned, {"mesh": mesh_s, "scan_path": rest_s, "coverage": coverage_s}
@@ -216,11 +245,7 @@ class RosCell:
         response = self._call(
             PlanStations, request, self._values.planning_timeout_s, "station_planner"
         )
-        plan = station_plan_from_msg(response.plan)
-        place = plan.T_map_tracker
-        self._tracker = PoseStamped() if place is None else pose_stamped_to_msg(place, "map")
-        self._map_pose = request.pose
-        return plan
+        return self._take_stations(response.plan, request.pose)
 
     def plan_trajectory(
         self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
@@ -235,7 +260,7 @@ class RosCell:
             station_id=station,
             pose=pose_stamped_to_msg(T_arm_base_workpiece, "arm_base"),
             points=points,
-            start=self._arm_state(),
+            start=self._motion.joint_state(),
             tracker=self._tracker,
             map_pose=self._map_pose,
         )
@@ -244,13 +269,17 @@ class RosCell:
                 PlanTrajectories, request, self._values.planning_timeout_s, "trajectory_planner"
             )
         except StepError as error:
-            if isinstance(error, AbortError) or error.code == Status.DEVICE_TIMEOUT:
+            if isinstance(error, InterruptError) or error.code == Status.DEVICE_TIMEOUT:
                 # Nobody waits for it any more, but the next job's would have to.
                 self._cancel_planning()
             elif error.code == Status.NO_TRAJECTORY:
                 return None
             raise
         return station_trajectory_from_msg(response.trajectory)
+
+    def arm_joints(self) -> Array | None:
+        """Returns where the arm stands, shape (6,) [rad]; None = not known."""
+        return self._motion.joints()
 
     def execute(self, segment: Segment) -> None:
         """Moves the arm along a segment."""
@@ -274,31 +303,76 @@ class RosCell:
                 Status.DEVICE_FAILED, f"the scanner did not switch: {response.message}", _SCANNER
             )
 
-    def halt(self) -> None:
-        """Stops arm and base, switches the scanner off; does not wait long for the answers."""
+    def halt(self, stop_devices: bool) -> None:
+        """Stops arm and base, switches the scanner off, and sees to it that nothing moves.
+
+        Also goals that somebody else sent are cancelled: an approach of a localiser that is gone,
+        or what another supervisor process has left.
+        """
         self._calls.cancel_all()
-        # Whoever ended the job: from here on it is closed, and that may not be aborted again.
-        self.waiter.control = JobControl()
+        answers = [
+            client.cancel_everything_async()
+            for client in self._actions.values()
+            if client.server_is_ready()
+        ]
         if self._services[SetBool].service_is_ready():
-            off = self._services[SetBool].call_async(SetBool.Request(data=False))
-            deadline = time.monotonic() + _HALT_S
-            while not off.done() and time.monotonic() < deadline:
-                time.sleep(0.01)
+            answers.append(self._services[SetBool].call_async(SetBool.Request(data=False)))
+        if stop_devices:
+            self._devices.stop()
+        _wait_shortly(answers)
+        moving = self._motion.moving(self._values.stop_timeout_s)
+        if moving and not stop_devices:
+            self._devices.stop()
+            moving = self._motion.moving(self._values.stop_timeout_s)
+        if moving:
+            text = f"{moving} {self._values.stop_timeout_s:g} s after it was stopped"
+            raise StepError(Status.DEVICE_FAILED, text, _ARM if "arm" in moving else _BASE)
+
+    def encoded_path(self) -> bytes:
+        """Returns the path planned last, to be kept on disk."""
+        return bytes(serialize_message(self._path_msg))
+
+    def encoded_stations(self) -> bytes:
+        """Returns the stations planned last, to be kept on disk."""
+        return bytes(serialize_message(self._stations_msg))
+
+    def encoded_trajectory(self, trajectory: StationTrajectory) -> bytes:
+        """Returns a trajectory, to be kept on disk."""
+        return bytes(serialize_message(station_trajectory_to_msg(trajectory)))
+
+    def restore_path(self, content: bytes) -> PlannedPath:
+        """Takes a path from disk as the one planned last."""
+        return self._take_path(deserialize_message(content, ScanPathMsg))
+
+    def restore_stations(self, content: bytes, T_map_workpiece: Array) -> StationPlan:
+        """Takes stations from disk as those planned last."""
+        found = deserialize_message(content, StationPlanMsg)
+        return self._take_stations(found, pose_stamped_to_msg(T_map_workpiece, "map"))
+
+    def restored_trajectory(self, content: bytes) -> StationTrajectory:
+        """Returns a trajectory from disk."""
+        return station_trajectory_from_msg(deserialize_message(content, StationTrajectoryMsg))
+
+    def _take_path(self, found: ScanPathMsg) -> PlannedPath:
+        self._path_msg = found
+        return PlannedPath(
+            scan_path_from_msg(found),
+            coverage_figures_from_msg(found.coverage),
+            found.triangles,
+            found.area,
+            found.mesh_sha256,
+        )
+
+    def _take_stations(self, found: StationPlanMsg, map_pose: PoseStamped) -> StationPlan:
+        plan = station_plan_from_msg(found)
+        place = plan.T_map_tracker
+        self._tracker = PoseStamped() if place is None else pose_stamped_to_msg(place, "map")
+        self._stations_msg, self._map_pose = found, map_pose
+        return plan
 
     def _cancel_planning(self) -> None:
         if self._services[Trigger].service_is_ready():
             self._services[Trigger].call_async(Trigger.Request())
-
-    def _arm_state(self) -> JointState:
-        raw = self._joint_state
-        if raw is None:
-            return JointState()
-        state: JointState = deserialize_message(raw, JointState)
-        return state
-
-    def _on_joint_state(self, raw: bytes) -> None:
-        # Taken apart only when it is needed: there are many of them.
-        self._joint_state = raw
 
     def _call(self, kind: Any, request: Any, timeout_s: float, node: str) -> Any:
         return self._calls.service(self._services[kind], request, timeout_s, node)
@@ -326,6 +400,12 @@ _ACTIONS: dict[Any, str] = {
     LocalizePart: "localize_part",
     FollowJointTrajectory: "scaled_joint_trajectory_controller/follow_joint_trajectory",
 }
+
+
+def _wait_shortly(answers: list[Any]) -> None:
+    deadline = time.monotonic() + _HALT_S
+    while time.monotonic() < deadline and not all(answer.done() for answer in answers):
+        time.sleep(0.01)
 
 
 def _reference(job: Job) -> PartReference:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from skinplan.part.model import ScanSettings
@@ -11,9 +11,11 @@ from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.model import ScanPath
 from skinplan.scanner.model import CoverageFigures
 from skinplan.stations.model import SkippedPoint, StationPlan
+from skinplan.trajectory.certify import TimedCoverage
 from skinplan.trajectory.cycle import CycleTime, cycle_time
 from skinplan.trajectory.model import SCAN, StationTrajectory
 from skinplan.transforms import Array, quaternion
+from skinplan_nodes.supervisor.faults import Interruption
 
 
 @dataclass(frozen=True)
@@ -70,28 +72,25 @@ class Localization:
 
 
 @dataclass
-class RunData:
-    """What a run has gathered so far; None or empty = not reached.
+class Round:
+    """One scan: the first one, or the re-scan of what was missing.
 
     Attributes:
-        planned: Scan path.
-        station_plan: Stations.
-        trajectories: Of the stations scanned so far.
-        localizations: In the order of time.
-        planning_s: Wall time of the planning stages [s].
-        measured: Figures of the inspection.
-        bag: Figures of the bag.
-        timing_s: Wall and cell time of the whole job [s].
+        planned: Scan path; None = not reached.
+        station_plan: Stations; None = not reached.
+        trajectories: Of the stations scanned so far, what the arm did and does there.
+        measured: What was measured after it.
     """
 
     planned: PlannedPath | None = None
     station_plan: StationPlan | None = None
     trajectories: list[StationTrajectory] = field(default_factory=list)
-    localizations: list[Localization] = field(default_factory=list)
-    planning_s: dict[str, float] = field(default_factory=dict)
     measured: dict[str, Any] = field(default_factory=dict)
-    bag: dict[str, Any] = field(default_factory=dict)
-    timing_s: dict[str, float] = field(default_factory=dict)
+
+    def put(self, made: StationTrajectory) -> None:
+        """Takes a station's trajectory in, in the place of an earlier one of the same station."""
+        self.trajectories[:] = [t for t in self.trajectories if t.station_id != made.station_id]
+        self.trajectories.append(made)
 
     def scanned(self) -> set[int]:
         """Returns the indices of the scan path points that were scanned."""
@@ -107,6 +106,64 @@ class RunData:
             int(skip.point): skip.reason for made in self.trajectories for skip in made.skipped
         }
         return {point: reason for point, reason in sorted(skipped.items()) if point not in done}
+
+    def final_trajectories(self) -> list[StationTrajectory]:
+        """Returns the trajectories with only those points as skipped that no station scanned."""
+        if not self.trajectories:
+            return []
+        skipped = tuple(SkippedPoint(point, reason) for point, reason in self.left_over().items())
+        cleared = [replace(made, skipped=()) for made in self.trajectories]
+        return [*cleared[:-1], replace(cleared[-1], skipped=skipped)]
+
+    def document(self) -> dict[str, Any]:
+        """Returns the entry of ``summary.json`` for a re-scan."""
+        return {
+            "points": 0 if self.planned is None else len(self.planned.path),
+            "stations": 0 if self.station_plan is None else len(self.station_plan.stations),
+            "scan_s": sum(made.scan_s for made in self.trajectories),
+            "transit_s": sum(made.transit_s for made in self.trajectories),
+            "skipped": len(self.left_over()),
+            "area_ratio_after": self.measured.get("area_ratio"),
+        }
+
+
+@dataclass
+class RunData:
+    """What a run has gathered so far; None or empty = not reached.
+
+    Attributes:
+        rounds: The first scan and its re-scans.
+        localizations: In the order of time.
+        planning_s: Wall time of the planning stages of the first scan [s].
+        timed: What the trajectories of the first scan see, by the certificate.
+        measured: Figures of the inspection.
+        bag: Figures of the bag.
+        interruptions: When the job stood still, and why.
+        timing_s: Wall and cell time of the whole job [s].
+    """
+
+    rounds: list[Round] = field(default_factory=lambda: [Round()])
+    localizations: list[Localization] = field(default_factory=list)
+    planning_s: dict[str, float] = field(default_factory=dict)
+    timed: TimedCoverage | None = None
+    measured: dict[str, Any] = field(default_factory=dict)
+    bag: dict[str, Any] = field(default_factory=dict)
+    interruptions: list[Interruption] = field(default_factory=list)
+    timing_s: dict[str, float] = field(default_factory=dict)
+
+    @property
+    def first(self) -> Round:
+        """The first scan."""
+        return self.rounds[0]
+
+    @property
+    def round(self) -> Round:
+        """The present scan."""
+        return self.rounds[-1]
+
+    def certified_area_ratio(self) -> float:
+        """Returns the share of the area that the plan is certified to see; NaN = not planned."""
+        return math.nan if self.first.planned is None else self.first.planned.coverage.area_ratio
 
     def summary(
         self,
@@ -128,8 +185,10 @@ class RunData:
             document["error"] = dict(error)
         document.update(self._planning(cell, scan))
         document["localization"] = [entry.document() for entry in self.localizations]
+        document["rescans"] = [entry.document() for entry in self.rounds[1:]]
+        document["interruptions"] = [asdict(entry) for entry in self.interruptions]
         for key, figures in (
-            ("measured", self.measured),
+            ("measured", self._measured()),
             ("bag", self.bag),
             ("timing_s", self.timing_s),
         ):
@@ -137,42 +196,47 @@ class RunData:
                 document[key] = figures
         return plain(document)
 
-    def _planning(self, cell: CellConfig, scan: ScanSettings | None) -> dict[str, Any]:
-        if self.planned is None or scan is None:
+    def _measured(self) -> dict[str, Any]:
+        if not self.measured:
             return {}
-        stations = self.station_plan or _NO_STATIONS
-        trajectories = self._final_trajectories()
-        complete = self.station_plan is not None and len(trajectories) == len(stations.stations)
+        certified = self.certified_area_ratio()
+        return {
+            **self.measured,
+            "certified_area_ratio": certified,
+            "area_ratio_over_certified": self.measured["area_ratio"] - certified,
+        }
+
+    def _planning(self, cell: CellConfig, scan: ScanSettings | None) -> dict[str, Any]:
+        planned, stations = self.first.planned, self.first.station_plan or _NO_STATIONS
+        if planned is None or scan is None:
+            return {}
+        trajectories = self.first.final_trajectories()
+        complete = self.first.station_plan is not None and len(trajectories) == len(
+            stations.stations
+        )
         cycle = (
-            cycle_time(stations, trajectories, cell, scan, self.planned.path)
+            cycle_time(stations, trajectories, cell, scan, planned.path)
             if complete
             else _UNKNOWN_CYCLE
         )
         document = planning_summary(
-            triangles=self.planned.triangles,
-            area_m2=self.planned.area_m2,
-            mesh_sha256=self.planned.mesh_sha256,
-            path=self.planned.path,
-            coverage=self.planned.coverage,
+            triangles=planned.triangles,
+            area_m2=planned.area_m2,
+            mesh_sha256=planned.mesh_sha256,
+            path=planned.path,
+            coverage=planned.coverage,
             station_plan=stations,
             trajectories=trajectories,
             cycle=cycle,
             planning_s=self.planning_s,
+            timed=self.timed,
         )
         reached = {
-            "stations": self.station_plan is not None,
+            "stations": self.first.station_plan is not None,
             "trajectory": complete,
             "plan_hash": complete,
         }
         return {key: value for key, value in document.items() if reached.get(key, True)}
-
-    def _final_trajectories(self) -> list[StationTrajectory]:
-        """Returns the trajectories with only those points as skipped that no station scanned."""
-        if not self.trajectories:
-            return []
-        skipped = tuple(SkippedPoint(point, reason) for point, reason in self.left_over().items())
-        cleared = [replace(made, skipped=()) for made in self.trajectories]
-        return [*cleared[:-1], replace(cleared[-1], skipped=skipped)]
 
 
 _NO_STATIONS = StationPlan("", (), 0, 0, False, math.nan, ())

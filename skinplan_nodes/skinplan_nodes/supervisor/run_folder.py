@@ -37,7 +37,9 @@ class RunFolder:
         """
         folder = cls(runs_folder / job_id)
         taken = [
-            name for name in (SUMMARY, "bag", "plan", "cloud.ply") if (folder.path / name).exists()
+            name
+            for name in (SUMMARY, "bag", "plan", "state", "cloud.ply")
+            if (folder.path / name).exists()
         ]
         if taken:
             raise JobInvalidError(
@@ -46,14 +48,38 @@ class RunFolder:
             )
         try:
             folder.log.mkdir(parents=True, exist_ok=True)
+            folder.state.mkdir(exist_ok=True)
+            folder.frames.mkdir(exist_ok=True)
         except OSError as error:
             raise JobInvalidError(f"run folder {folder.path} can't be made: {error}") from error
         return folder
 
+    def bag(self, part: int = 1) -> Path:
+        """Returns the folder of a part of the bag; made by the recorder.
+
+        Args:
+            part: From 1; a new one begins when the recorder was started anew.
+        """
+        return self.path / ("bag" if part == 1 else f"bag-{part}")
+
     @property
-    def bag(self) -> Path:
-        """Folder of the bag; made by the recorder."""
-        return self.path / "bag"
+    def state(self) -> Path:
+        """What a new supervisor needs to go on after this one was killed."""
+        return self.path / "state"
+
+    @property
+    def journal(self) -> Path:
+        """The journal."""
+        return self.state / "journal.jsonl"
+
+    @property
+    def frames(self) -> Path:
+        """What the inspector keeps to go on after it was ended."""
+        return self.path / "frames"
+
+    def seen(self, rescan: int) -> Path:
+        """Returns the cloud that re-scan `rescan`, from 1, is planned by."""
+        return self.path / f"cloud-before-rescan-{rescan}.ply"
 
     @property
     def cloud(self) -> Path:
@@ -83,10 +109,14 @@ class RunFolder:
         trajectories: Sequence[StationTrajectory] | None = None,
         T_map_workpiece: Array | None = None,
         coverage: CoverageFigures | None = None,
+        rescan: int = 0,
     ) -> None:
-        """Writes what of the plan is given to ``plan/``; the part's place with the stations."""
+        """Writes what of the plan is given to ``plan/``; the part's place with the stations.
+
+        Of a re-scan to ``plan/rescan-1/`` and so on.
+        """
         write_plan_files(
-            self.path / "plan",
+            self.path / "plan" / f"rescan-{rescan}" if rescan else self.path / "plan",
             path,
             station_plan,
             trajectories,

@@ -2,7 +2,8 @@
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 from rclpy.task import Future
@@ -16,7 +17,7 @@ _FROZEN_S = 15.0
 
 
 class Waiter:
-    """Waits for futures, on wall time or on the cell's time; gives way to an abort of the job.
+    """Waits for futures, on wall time or on the cell's time; gives way to what is asked of the job.
 
     Args:
         now_s: Returns the cell's time [s].
@@ -28,6 +29,15 @@ class Waiter:
         self._is_lost = is_lost
         self.control = JobControl()
 
+    @contextmanager
+    def undisturbed(self) -> Iterator[None]:
+        """What is waited for inside stops or closes something: nothing breaks into it."""
+        control, self.control = self.control, JobControl()
+        try:
+            yield
+        finally:
+            self.control = control
+
     def wall(self, future: Future, timeout_s: float, what: str, node: str) -> Any:
         """Waits on wall time.
 
@@ -38,8 +48,8 @@ class Waiter:
             node: Who was asked.
 
         Raises:
-            AbortError: The job is to end.
-            StepError: DEVICE_TIMEOUT, or what the future raised.
+            InterruptError: Something breaks into it.
+            StepError: NODE_LOST, DEVICE_TIMEOUT, or what the future raised.
         """
         deadline = time.monotonic() + timeout_s
 

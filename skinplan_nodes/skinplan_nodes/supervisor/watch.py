@@ -39,12 +39,36 @@ class NodeWatch:
     # The graph of a loaded machine may miss a node for one look: two in a row count.
     _LOOKS = 2
 
-    def beat(self, node: str, now_s: float, pid: int = 0) -> None:
-        """Notes a heartbeat of a node (fully qualified name or plain name) and its process."""
+    def beat(self, node: str, now_s: float, pid: int = 0) -> bool:
+        """Notes a heartbeat of a node and its process.
+
+        Args:
+            node: Fully qualified name or plain name.
+            now_s: Any clock that does not jump [s].
+            pid: Its process.
+
+        Returns:
+            Whether it is another process than before: the node has lost what it knew.
+        """
         name = node.rsplit("/", 1)[-1]
+        another = self._pids.get(name, pid) != pid
         self._last_beat_s[name] = now_s
         self._pids[name] = pid
         self._gone.pop(name, None)
+        return another
+
+    def last_beat_s(self, name: str) -> float:
+        """Returns when a node was last heard; infinitely long ago = never [s]."""
+        return self._last_beat_s.get(name, float("-inf"))
+
+    def pid(self, name: str, now_s: float) -> int:
+        """Returns the process of a node; 0 = it was never seen, or is lost."""
+        return 0 if self.is_lost(name, now_s) else self._pids.get(name, 0)
+
+    def absent(self, now_s: float) -> tuple[str, ...]:
+        """Returns the required nodes that were never seen, or are lost."""
+        never = set(self.missing())
+        return tuple(n for n in self.required if n in never or self.is_lost(n, now_s))
 
     def look(self, names_in_graph: Iterable[str]) -> None:
         """Notes which nodes the graph shows."""

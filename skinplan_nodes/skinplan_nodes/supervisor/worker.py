@@ -14,18 +14,31 @@ from skinplan.part.files import load_part
 from skinplan.part.model import Part
 from skinplan.robot.cell import CellConfig
 from skinplan_nodes.part_cache import part_path
+from skinplan_nodes.supervisor.bag_parts import BagParts
 from skinplan_nodes.supervisor.cell import Cell
+from skinplan_nodes.supervisor.certificate import certified_motion
 from skinplan_nodes.supervisor.control import AbortError, JobControl, StepError
-from skinplan_nodes.supervisor.mission import Mission
+from skinplan_nodes.supervisor.faults import NODE_LOST
+from skinplan_nodes.supervisor.limits import Limits
+from skinplan_nodes.supervisor.machine import State, job_state
+from skinplan_nodes.supervisor.mission import Mission, ResumeSettings
 from skinplan_nodes.supervisor.progress import Progress
+from skinplan_nodes.supervisor.record import RunRecord
+from skinplan_nodes.supervisor.restore import (
+    Restored,
+    ResumeError,
+    file_sha256,
+    restore,
+)
 from skinplan_nodes.supervisor.run_data import RunData
 from skinplan_nodes.supervisor.run_folder import RunFolder
+from skinplan_nodes.supervisor.steps import RescanSettings, Steps
 
 OK = 1
-# What was scanned before a failure is merged, but nobody who ended the job waits long for that.
-_SALVAGE_S = 30.0
-_SALVAGE_ABORTED_S = 1.0
+_RESUME_REFUSED = 805
 _log = logging.getLogger(__name__)
+
+OnProgress = Callable[[State, Progress, str, StepError | None], None]
 
 
 @dataclass(frozen=True)
@@ -48,6 +61,28 @@ class Outcome:
 
 
 @dataclass(frozen=True)
+class WorkSettings:
+    """How jobs are worked off.
+
+    Attributes:
+        limits: How long each state may last.
+        resume: How a job goes on after an interruption.
+        rescans: When what is missing is scanned again.
+        needs_recorder: A job waits for a recorder that is lost; otherwise it goes on without.
+        resume_age_max_s: A job that stood still for longer before the supervisor was started waits
+            for RESUME, wall time [s].
+        with_report: Write ``report.html`` after a job, unless it was aborted from outside.
+    """
+
+    limits: Limits
+    resume: ResumeSettings = ResumeSettings()
+    rescans: RescanSettings = RescanSettings()
+    needs_recorder: bool = False
+    resume_age_max_s: float = 120.0
+    with_report: bool = True
+
+
+@dataclass(frozen=True)
 class JobWorker:
     """Works jobs off, one at a time.
 
@@ -56,41 +91,44 @@ class JobWorker:
         config: The cell's figures.
         runs_folder: Gets the folders of the runs.
         code_of: Status code of an error of the library.
-        with_report: Write ``report.html`` after a job, unless it was aborted from outside.
+        settings: How jobs are worked off.
     """
 
     cell: Cell
     config: CellConfig
     runs_folder: Path
     code_of: Callable[[SkinplanError], int]
-    with_report: bool = True
+    settings: WorkSettings
 
     def work(
-        self, job: Job, control: JobControl, on_progress: Callable[[Progress, str], None]
+        self, job: Job, control: JobControl, on_progress: OnProgress, resume: bool = False
     ) -> Outcome:
         """Works a job off, from its folder to its summary; never raises.
 
         Args:
             job: The order.
             control: Switches of the job.
-            on_progress: Told the progress and the run's folder.
+            on_progress: Told state, progress, the run's folder and why the job stands still.
+            resume: The job was begun by a supervisor process that is gone.
         """
         data = RunData()
         try:
-            folder = RunFolder.create(self.runs_folder, job.job_id)
+            folder = RunFolder(self.runs_folder / job.job_id)
+            folder = folder if resume else RunFolder.create(self.runs_folder, job.job_id)
         except (SkinplanError, OSError) as error:
-            return self._failed(self._step_error(error, "starting"), None, data)
+            return self._failed(self._step_error(error), None, data)
         began = (time.monotonic(), self.cell.now_s())
-        part, failure = self._run(job, folder, control, data, on_progress)
-        data.timing_s = {"wall": time.monotonic() - began[0], "cell": self.cell.now_s() - began[1]}
-        outcome = Outcome(JobState.ENDED, OK, "", folder, data)
-        if failure is not None:
-            outcome = self._failed(failure, folder, data)
+        made = self._run(job, folder, control, on_progress, resume)
+        wall_s, cell_s = time.monotonic() - began[0], self.cell.now_s() - began[1]
+        made.data.timing_s = {"wall": wall_s, "cell": cell_s}
+        outcome = Outcome(JobState.ENDED, OK, "", folder, made.data)
+        if made.failure is not None:
+            outcome = self._failed(made.failure, folder, made.data)
         try:
-            self._write(job, part, folder, outcome, failure)
+            self._write(job, made.part, folder, outcome, made.failure)
         except Exception as error:  # the job must come to an end, whatever it is
             _log.exception("job %s: writing the summary", job.job_id)
-            return self._failed(self._step_error(error, "closing"), folder, data)
+            return self._failed(self._step_error(error, "closing"), folder, made.data)
         return outcome
 
     def _run(
@@ -98,51 +136,86 @@ class JobWorker:
         job: Job,
         folder: RunFolder,
         control: JobControl,
-        data: RunData,
-        on_progress: Callable[[Progress, str], None],
-    ) -> tuple[Part | None, StepError | None]:
-        part: Part | None = None
-        mission: Mission | None = None
-        failure: StepError | None = None
-
-        def report(progress: Progress) -> None:
-            on_progress(progress, str(folder.path))
-
+        on_progress: OnProgress,
+        resume: bool,
+    ) -> "_Made":
+        made = _Made(RunData())
         try:
-            part = load_part(part_path(job.part_uri))
-            mission = Mission(job, part, self.config, self.cell, folder, control, report, data)
-            mission.run()
+            path = part_path(job.part_uri)
+            made.part = part = load_part(path)
+            found = Restored()
+            if resume:
+                found = restore(folder, job, part, path, self.cell)
+            made.data = found.data
+            mission = self._mission(job, part, path, folder, control, on_progress, found, resume)
+            state = mission.run(*self._begin(found, resume))
+            made.failure = mission.failure
+            if made.failure is None and job_state(state) is JobState.ABORTED:
+                made.failure = StepError(self.code_of(SkinplanError()), "aborted without a reason")
         except Exception as error:  # whatever it is, the job ends with a name and a reason
-            failure = self._step_error(error, "starting")
-            self._salvage(job, folder, data, failure)
-        if mission is not None:
-            mission.close()
-        return part, failure
+            made.failure = self._step_error(error)
+            self._halt()
+        return made
 
-    def _salvage(self, job: Job, folder: RunFolder, data: RunData, failure: StepError) -> None:
-        """Stops the devices and merges what was scanned up to the failure."""
-        self.cell.halt()
-        if not data.trajectories or data.measured:
-            return
-        timeout_s = _SALVAGE_ABORTED_S if isinstance(failure, AbortError) else _SALVAGE_S
+    def _begin(self, found: Restored, resume: bool) -> tuple[State, StepError | None]:
+        """Returns the first state, and why a job that is taken over stands still."""
+        if not resume:
+            return State.STARTING, None
+        text = "the supervisor was ended and started anew"
+        if found.age_s > self.settings.resume_age_max_s:
+            text += f" after {found.age_s:.0f} s"
+        return State.STOPPING, StepError(NODE_LOST, text, "cell_supervisor")
+
+    def _mission(
+        self,
+        job: Job,
+        part: Part,
+        part_file: Path,
+        folder: RunFolder,
+        control: JobControl,
+        on_progress: OnProgress,
+        found: Restored,
+        resume: bool,
+    ) -> Mission:
+        settings = self.settings
+        record = RunRecord(folder, found.data, self.cell)
+        if resume:
+            record.taken_over()
+        else:
+            record.began(job, part, file_sha256(part_file))
+        bag = BagParts(self.cell, record, _metadata(job, part), settings.needs_recorder)
+        bag.restore(found.bag_part, found.recorder_pid, found.bag_open)
+        steps = Steps(job, self.config, self.cell, record, bag, settings.rescans, found.place)
+        if found.place.plan is not None:
+            steps.progress = steps.progress.planned(
+                found.place.plan, self.config.settle_s, found.place.rescan
+            )
+        at_start = settings.resume.at_start and found.age_s <= settings.resume_age_max_s
+        return Mission(
+            steps,
+            control,
+            settings.limits,
+            ResumeSettings(settings.resume.automatic, settings.resume.attempts, at_start),
+            self.code_of,
+            lambda state, progress, why: on_progress(state, progress, str(folder.path), why),
+        )
+
+    def _halt(self) -> None:
         try:
-            data.measured = self.cell.finish_inspection(job, folder.cloud, timeout_s)
-        except SkinplanError as error:
-            folder.note(f"what was scanned before the failure could not be merged: {error}")
+            self.cell.halt(stop_devices=True)
+        except StepError as error:
+            _log.error("halting the cell: %s", error)
 
-    def _step_error(self, error: Exception, step: str) -> StepError:
+    def _step_error(self, error: Exception, step: str = "starting") -> StepError:
         if isinstance(error, StepError):
             error.step = error.step or step
             return error
         if not isinstance(error, SkinplanError | OSError):
             _log.error("unexpected error", exc_info=error)
-        code = (
-            self.code_of(error)
-            if isinstance(error, SkinplanError)
-            else self.code_of(SkinplanError())
-        )
+        known = error if isinstance(error, SkinplanError) else SkinplanError()
+        code = _RESUME_REFUSED if isinstance(error, ResumeError) else self.code_of(known)
         found = StepError(code, str(error) or type(error).__name__)
-        found.step = step
+        found.step = "resuming" if isinstance(error, ResumeError) else step
         return found
 
     def _failed(self, error: StepError, folder: RunFolder | None, data: RunData) -> Outcome:
@@ -165,6 +238,8 @@ class JobWorker:
                 "node": failure.node,
                 "message": str(failure),
             }
+        elif part is not None:
+            outcome.data.timed = certified_motion(outcome.data, part, self.config)
         summary = outcome.data.summary(
             _job_document(job, part, outcome),
             error,
@@ -173,7 +248,7 @@ class JobWorker:
         )
         folder.finish(summary)
         # Who interrupts a job does not want to wait for a report.
-        if self.with_report and not isinstance(failure, AbortError):
+        if self.settings.with_report and not isinstance(failure, AbortError):
             self._report(folder)
 
     def _report(self, folder: RunFolder) -> None:
@@ -185,10 +260,23 @@ class JobWorker:
             _log.error("run %s: report: %s", folder.path, error)
 
 
+@dataclass
+class _Made:
+    data: RunData
+    part: Part | None = None
+    failure: StepError | None = None
+
+
 def sentence(error: StepError) -> str:
     """Returns step, node and reason in one sentence."""
     place = f"{error.step or 'job'} failed" + (f" at {error.node}" if error.node else "")
     return f"{place}: {error}"
+
+
+def _metadata(job: Job, part: Part) -> dict[str, str]:
+    named = {"job_id": job.job_id, "order_id": job.order_id, "serial_number": job.serial_number}
+    found = {"part": part.id, "part_uri": job.part_uri, "mesh_sha256": part.mesh_sha256}
+    return {**named, **found, **dict(job.attributes)}
 
 
 def _job_document(job: Job, part: Part | None, outcome: Outcome) -> dict[str, Any]:
