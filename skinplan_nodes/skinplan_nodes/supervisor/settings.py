@@ -62,6 +62,9 @@ RESUMING = (
         "go_on",
         "What a job does whose recorder is lost: go_on, or interrupt until it is back.",
     ),
+    Parameter(
+        "certify_motion", True, "Certify for the summary what the motion of the arm should see."
+    ),
     Parameter("max_rescans", 2, "So often what is missing is scanned again [1].", 0, 20),
     Parameter(
         "rescan_area_ratio",
@@ -84,4 +87,5 @@ def work_settings(values: SimpleNamespace) -> WorkSettings:
         needs_recorder=values.without_recorder == "interrupt",
         resume_age_max_s=values.resume_age_max_s,
         with_report=values.report,
+        with_certificate=values.certify_motion,
     )

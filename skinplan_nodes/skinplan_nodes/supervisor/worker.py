@@ -72,6 +72,7 @@ class WorkSettings:
         resume_age_max_s: A job that stood still for longer before the supervisor was started waits
             for RESUME, wall time [s].
         with_report: Write ``report.html`` after a job, unless it was aborted from outside.
+        with_certificate: Certify for the summary what the motion should see.
     """
 
     limits: Limits
@@ -80,6 +81,7 @@ class WorkSettings:
     needs_recorder: bool = False
     resume_age_max_s: float = 120.0
     with_report: bool = True
+    with_certificate: bool = True
 
 
 @dataclass(frozen=True)
@@ -238,7 +240,7 @@ class JobWorker:
                 "node": failure.node,
                 "message": str(failure),
             }
-        elif part is not None:
+        elif part is not None and self.settings.with_certificate:
             outcome.data.timed = certified_motion(outcome.data, part, self.config)
         summary = outcome.data.summary(
             _job_document(job, part, outcome),

@@ -1,0 +1,419 @@
+"""Jobs that are interrupted and go on, against a small cell of independent servers."""
+
+import functools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from skinplan_msgs.msg import DeviceState, Heartbeat, Job, JobStatus, PartReference, Status
+from skinplan_msgs.srv import JobCommand, JobGet, JobSubmit
+
+from nodes.bench import Bench
+from nodes.small_part import write_small_part
+from nodes.supervised_cell import HOME, SupervisedCell, joints_of
+from skinplan.part.model import Part
+from skinplan_nodes.cell_supervisor import CellSupervisor
+from skinplan_nodes.qos import LATCHED, STATE
+
+Ask = JobCommand.Request
+QUICK: dict[str, Any] = {
+    "report": False,
+    "certify_motion": False,
+    "stop_timeout_s": 1.0,
+    "start_timeout_s": 10.0,
+}
+
+
+@pytest.fixture(scope="module")
+def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
+    return write_small_part(tmp_path_factory.mktemp("part"))
+
+
+@pytest.fixture
+def bench() -> Iterator[Bench]:
+    found = Bench(threads=8)
+    yield found
+    found.close()
+    assert not found.failures
+
+
+class Run:
+    """A supervisor, its cell and one job."""
+
+    def __init__(self, bench: Bench, folder: Path, part: Part, **cell: Any) -> None:
+        self.bench, self.runs, self.part = bench, folder / "runs", part
+        self.cell: SupervisedCell = bench.start(
+            functools.partial(SupervisedCell, **cell), simulated=False
+        )
+        self.states = bench.collect_before(JobStatus, "job_status", LATCHED)
+        # Made early: a client that has just come up may miss an answer.
+        self._clients = {
+            kind: bench.tester.create_client(kind, name)
+            for kind, name in ((JobSubmit, "jobs/submit"), (JobCommand, "jobs/command"))
+        }
+
+    def supervise(self, **values: Any) -> "Run":
+        """Starts the supervisor in this process."""
+        given = {**QUICK, "runs_folder": str(self.runs), "required_nodes": ["nobody"], **values}
+        beats = self.bench.tester.create_publisher(Heartbeat, "heartbeat", STATE)
+        self.beat = lambda name, pid=1: beats.publish(Heartbeat(node=f"/{name}", pid=pid))
+        self.bench.start(CellSupervisor, simulated=False, **given)
+        self.bench.wait(lambda: beats.get_subscription_count() > 0)
+        self.bench.tester.create_timer(0.5, lambda: [self.beat(n, p) for n, p in self.alive])
+        return self
+
+    alive: tuple[tuple[str, int], ...] = (("nobody", 1),)
+
+    def submit(self) -> "Run":
+        job = Job(job_id="j1", part=PartReference(uri=str(self.part.source)))
+        answer = self._call(JobSubmit, JobSubmit.Request(job=job))
+        assert answer.status.code == Status.OK
+        return self
+
+    def command(self, command: int) -> None:
+        request = Ask(job_id="j1", command=command)
+        answer = self._call(JobCommand, request)
+        assert answer.status.code == Status.OK, answer.status.message
+
+    def _call(self, kind: Any, request: Any) -> Any:
+        """Asks again after a while: the answer of a server that has just come up may get lost."""
+        self.bench.wait(self._clients[kind].service_is_ready)
+        for _ in range(5):
+            answer = self._clients[kind].call_async(request)
+            deadline = time.monotonic() + 3.0
+            while not answer.done() and time.monotonic() < deadline:
+                time.sleep(0.01)
+            if answer.done():
+                return answer.result()
+        raise AssertionError("no answer")
+
+    def until(self, state: int, sub_state: str | None = None) -> JobStatus:
+        def found() -> JobStatus | None:
+            last = self.states[-1] if self.states else None
+            fits = last is not None and last.state == state
+            return last if fits and sub_state in (None, last.sub_state) else None
+
+        return self.bench.wait(found)
+
+    def until_scanned(self, point: int) -> None:
+        self.bench.wait(lambda: point in self.cell.seen)
+
+    def ended(self) -> dict[str, Any]:
+        self.until(JobStatus.ENDED)
+        return self.summary()
+
+    def aborted(self) -> dict[str, Any]:
+        self.until(JobStatus.ABORTED)
+        return self.summary()
+
+    def summary(self) -> dict[str, Any]:
+        return json.loads((self.runs / "j1" / "summary.json").read_text())
+
+    def stands_still(self, for_s: float = 0.3) -> None:
+        moved_s, q = self.cell.arm.moved_s, self.cell.arm.q.copy()
+        time.sleep(for_s)
+        assert self.cell.arm.moved_s == moved_s
+        np.testing.assert_array_equal(self.cell.arm.q, q)
+
+
+@pytest.fixture
+def run(bench: Bench, tmp_path: Path, part: Part) -> Callable[..., Run]:
+    return lambda **cell: Run(bench, tmp_path, part, **cell)
+
+
+def test_an_undisturbed_job_passes_every_point_once(run: Callable[..., Run]) -> None:
+    job = run(stations=2).supervise().submit()
+    summary = job.ended()
+    assert job.cell.asked == [[0, 1, 2], [3, 4, 5]]
+    assert job.cell.calls.count("localize") == 3
+    assert summary["interruptions"] == [] and summary["rescans"] == []
+    assert summary["measured"]["area_ratio_over_certified"] == 0.0
+    np.testing.assert_allclose(job.cell.arm.q, HOME, atol=1e-6)
+    assert job.cell.bags == ["bag"] and job.cell.calls.count("recorder/stop") == 1
+    assert job.cell.inspections == [("frames", False)]
+
+
+def test_a_pause_holds_in_the_middle_of_a_segment_and_goes_on_there(
+    run: Callable[..., Run],
+) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(2)
+    job.command(Ask.PAUSE)
+    held = job.until(JobStatus.INTERRUPTED, "paused")
+    assert held.status.code == Status.OK
+    assert 5 not in job.cell.seen, "the segment was not driven to its end"
+    job.stands_still()
+    goals = len(job.cell.arm.goals)
+    job.command(Ask.RESUME)
+    summary = job.ended()
+    # What is left of the segment, from where the arm stood; nothing was planned anew.
+    np.testing.assert_allclose(job.cell.arm.goals[goals][-1][0], joints_of(5)[0] + 0.05, atol=1e-6)
+    assert job.cell.calls.count("plan_trajectories") == 1
+    assert set(job.cell.seen) == set(range(6))
+    (stood,) = summary["interruptions"]
+    assert (stood["state"], stood["code"]) == ("scanning", 0)
+    assert stood["resumed_after_s"] > 0.0
+    assert "arm/stop" not in job.cell.calls, "cancelling was enough"
+
+
+def test_a_protective_stop_waits_for_the_operator(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(1)
+    job.cell.set_arm(DeviceState.FAULT, "protective_stop")
+    held = job.until(JobStatus.INTERRUPTED, "waiting")
+    assert held.status.code == Status.PROTECTIVE_STOP
+    job.stands_still()
+    job.command(Ask.RESUME)
+    summary = job.ended()
+    assert job.cell.calls.count("arm/reset") >= 1
+    assert set(job.cell.seen) == set(range(6))
+    assert [s["code"] for s in summary["interruptions"]] == [Status.PROTECTIVE_STOP]
+    assert job.states[-1].status.code == Status.OK
+
+
+@pytest.mark.long
+def test_a_fault_that_nobody_ends_ends_the_job_with_its_code(run: Callable[..., Run]) -> None:
+    job = run().supervise(operator_timeout_s=1.0).submit()
+    job.until_scanned(1)
+    job.cell.set_arm(DeviceState.EMERGENCY_STOP, "emergency_stop")
+    summary = job.aborted()
+    assert summary["error"]["code"] == Status.EMERGENCY_STOP
+    assert summary["interruptions"][0]["resumed_after_s"] is None
+    job.stands_still()
+
+
+@pytest.mark.long
+def test_an_arm_that_leaves_its_way_is_planned_anew_without_what_was_seen(
+    run: Callable[..., Run],
+) -> None:
+    job = run(with_devices=False).supervise().submit()
+    job.until_scanned(2)
+    job.command(Ask.PAUSE)
+    job.until(JobStatus.INTERRUPTED, "paused")
+    seen = set(job.cell.seen)
+    # Somebody jogs the arm.
+    job.cell.arm.move(job.cell.arm.q + np.array([0.0, 0.3, 0.0, 0.0, 0.0, 0.0]))
+    goals = len(job.cell.arm.goals)
+    job.command(Ask.RESUME)
+    job.ended()
+    assert job.cell.asked[0] == [0, 1, 2, 3, 4, 5]
+    assert set(job.cell.asked[1]) <= set(range(6)) - (seen - {max(seen)})
+    assert set(job.cell.seen) == set(range(6))
+    assert job.cell.calls.count("localize") == 2, "the base did not move"
+    assert len(job.cell.arm.goals) > goals
+
+
+@pytest.mark.long
+def test_a_base_that_moved_is_located_again(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(2)
+    job.command(Ask.PAUSE)
+    job.until(JobStatus.INTERRUPTED, "paused")
+    job.cell.base = job.cell.base.copy()
+    job.cell.base[0, 3] += 0.02
+    job.command(Ask.RESUME)
+    job.ended()
+    assert job.cell.calls.count("localize") == 3
+    assert job.cell.calls.count("plan_trajectories") == 2
+    assert set(job.cell.seen) == set(range(6))
+
+
+@pytest.mark.long
+def test_an_arm_goal_that_never_ends_ends_the_job_in_time(run: Callable[..., Run]) -> None:
+    job = run().supervise(segment_timeout_s=1.0, resume_attempts_max=1)
+    job.cell.arm.never_ends = True
+    summary = job.submit().aborted()
+    assert summary["error"]["code"] == Status.STEP_TIMEOUT
+    assert "was not over within 1 s" in summary["error"]["message"]
+    job.stands_still()
+
+
+@pytest.mark.long
+def test_a_base_that_never_answers_is_tried_again_and_recovers(run: Callable[..., Run]) -> None:
+    job = run().supervise(drive_timeout_s=1.0)
+    job.cell.base_answers = False
+    job.submit()
+    job.until(JobStatus.INTERRUPTED)
+    job.cell.base_answers = True
+    summary = job.ended()
+    assert job.cell.calls.count("drive") >= 3
+    assert {s["code"] for s in summary["interruptions"]} == {Status.DEVICE_TIMEOUT}
+
+
+def test_a_node_that_is_another_process_interrupts_until_it_is_back(
+    run: Callable[..., Run],
+) -> None:
+    job = run()
+    job.alive = (("nobody", 1), ("scan_inspector", 7), ("run_recorder", 8))
+    job.supervise(required_nodes=["nobody", "scan_inspector", "run_recorder"]).submit()
+    job.until_scanned(1)
+    job.alive = (("nobody", 1), ("scan_inspector", 9), ("run_recorder", 10))
+    summary = job.ended()
+    assert [s["code"] for s in summary["interruptions"]] == [Status.NODE_LOST]
+    assert "scan_inspector" in summary["interruptions"][0]["reason"]
+    assert job.cell.inspections == [("frames", False), ("frames", True)]
+    assert job.cell.bags == ["bag", "bag-2"], "the recorder was lost, too, but held nothing up"
+    assert {0, 1, 2, 3, 4, 5} == set(job.cell.seen)
+
+
+@pytest.mark.long
+def test_a_node_that_does_not_come_back_ends_the_job(run: Callable[..., Run]) -> None:
+    job = run()
+    job.alive = (("nobody", 1), ("planner", 2**30))
+    job.supervise(
+        required_nodes=["nobody", "planner"], silent_max_s=2.0, recovery_timeout_s=1.0
+    ).submit()
+    job.cell.base_answers = False
+    job.until(JobStatus.RUNNING, "driving")
+    job.alive = (("nobody", 1),)
+    summary = job.aborted()
+    assert summary["error"]["code"] == Status.NODE_LOST
+    assert "planner" in summary["error"]["message"]
+
+
+def test_stop_keeps_what_was_scanned(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(2)
+    job.command(Ask.STOP)
+    summary = job.ended()
+    assert "arm/stop" in job.cell.calls
+    assert 0.0 < summary["measured"]["area_ratio"] < 1.0
+    job.stands_still()
+
+
+def test_abort_stops_at_once(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(1)
+    job.command(Ask.ABORT)
+    summary = job.aborted()
+    assert summary["error"]["code"] == Status.JOB_ABORTED
+    assert "arm/stop" in job.cell.calls and "recorder/stop" in job.cell.calls
+    job.stands_still()
+
+
+def test_what_is_missing_is_scanned_again(run: Callable[..., Run]) -> None:
+    job = run().supervise()
+    job.cell.blind = {2, 3}
+    job.submit()
+    job.bench.wait(lambda: "inspection/so far" in job.cell.calls)
+    job.cell.blind = set()
+    summary = job.ended()
+    assert job.cell.asked == [[0, 1, 2, 3, 4, 5], [2, 3]]
+    assert [r["points"] for r in summary["rescans"]] == [2]
+    assert summary["measured"]["area_ratio"] == 1.0
+    assert max(s.rescan for s in job.states) == 1
+    assert (job.runs / "j1" / "plan" / "rescan-1" / "scan_path.json").is_file()
+
+
+@pytest.mark.long
+def test_re_scans_are_bounded(run: Callable[..., Run]) -> None:
+    job = run().supervise(max_rescans=1)
+    job.cell.blind = {2}
+    summary = job.submit().ended()
+    assert len(summary["rescans"]) == 1
+    assert summary["measured"]["area_ratio"] == pytest.approx(5 / 6)
+
+
+class Process:
+    """The supervisor as a process of its own, to be killed."""
+
+    def __init__(self, job: Run, **values: Any) -> None:
+        given = {**QUICK, "runs_folder": str(job.runs), "required_nodes": [""], **values}
+        self._command = [sys.executable, "-m", "skinplan_nodes.cell_supervisor", "--ros-args"]
+        for name, value in given.items():
+            text = json.dumps(value) if not isinstance(value, str) else value
+            self._command += ["-p", f"{name}:={text}"]
+        self._job = job
+        self.start()
+
+    def start(self) -> None:
+        self._process = subprocess.Popen(self._command)
+        client = self._job.bench.tester.create_client(JobGet, "jobs/get")
+        self._job.bench.wait(client.service_is_ready)
+
+    def kill(self) -> None:
+        os.kill(self._process.pid, signal.SIGKILL)
+        self._process.wait(10)
+
+    def end(self) -> None:
+        self._process.terminate()
+        self._process.wait(20)
+
+
+@pytest.fixture
+def killed(run: Callable[..., Run]) -> Iterator[Callable[..., tuple[Run, Process]]]:
+    """A job whose supervisor was killed in the middle of a scan."""
+    processes: list[Process] = []
+
+    def make(**values: Any) -> tuple[Run, Process]:
+        job = run()
+        processes.append(Process(job, **values))
+        job.submit()
+        job.until_scanned(2)
+        processes[0].kill()
+        return job, processes[0]
+
+    yield make
+    for process in processes:
+        process.end()
+
+
+def test_a_killed_supervisor_goes_on_with_the_rest(
+    killed: Callable[..., tuple[Run, Process]],
+) -> None:
+    job, process = killed()
+    process.start()
+    summary = job.ended()
+    assert set(job.cell.seen) == set(range(6))
+    assert len(job.cell.asked) == 2 and 0 not in job.cell.asked[1]
+    assert job.cell.calls.count("localize") == 3, "it is not known where the base is"
+    assert job.cell.inspections == [("frames", False), ("frames", True)]
+    (stood,) = summary["interruptions"]
+    assert stood["code"] == Status.NODE_LOST and stood["resumed_after_s"] >= 0.0
+    assert summary["stations"]["count"] == 1 and len(summary["localization"]) == 3
+    np.testing.assert_allclose(job.cell.arm.q, HOME, atol=1e-6)
+
+
+@pytest.mark.long
+def test_a_killed_supervisor_waits_where_it_is_told_to(
+    killed: Callable[..., tuple[Run, Process]],
+) -> None:
+    job, process = killed(resume_at_start=False)
+    process.start()
+    job.until(JobStatus.INTERRUPTED, "waiting")
+    job.stands_still()
+    job.command(Ask.RESUME)
+    job.ended()
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("damage", ["journal", "part"])
+def test_what_has_changed_meanwhile_is_not_resumed(
+    killed: Callable[..., tuple[Run, Process]], part: Part, damage: str
+) -> None:
+    job, process = killed()
+    folder = job.runs / "j1"
+    path = part.source if damage == "part" else folder / "state" / "journal.jsonl"
+    assert path is not None
+    kept = path.read_bytes()
+    changed = kept.replace(b"\n", b"\n\n", 1) if damage == "part" else b"x" + kept[1:]
+    path.write_bytes(changed)
+    try:
+        process.start()
+        summary = job.aborted()
+    finally:
+        path.write_bytes(kept if damage == "part" else changed)
+    assert summary["error"]["code"] == Status.RESUME_REFUSED
+    assert ("part_sha256" if damage == "part" else "line 1") in summary["error"]["message"]
+    journal = (folder / "state" / "journal.jsonl").read_bytes()
+    assert journal == changed if damage == "journal" else len(journal) > 1000
+    assert list((folder / "state").glob("trajectory-*.cdr"))
+    job.stands_still()
