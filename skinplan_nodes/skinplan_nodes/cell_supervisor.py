@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.action import ActionServer, CancelResponse
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
@@ -171,6 +172,7 @@ class CellSupervisor(CellNode):
             cancel_callback=self._on_cancel,
         )
         self.create_subscription(Heartbeat, "heartbeat", self._on_beat, STATE)
+        self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, STATE)
         self.create_timer(
             _LOOK_PERIOD_S,
             self._on_look,
@@ -276,10 +278,24 @@ class CellSupervisor(CellNode):
 
     def _lose(self, name: str, text: str, since_s: float) -> None:
         """A node is gone, or has lost what it knew: the job stands still until it is back."""
-        needless = name == _RECORDER and self.values.without_recorder == "go_on"
+        if name not in self._watch.required:
+            return
         self.get_logger().error(text)
-        if name in self._watch.required and not needless:
+        if name != _RECORDER or self.values.without_recorder != "go_on":
             self._desk.ask(Request(Event.NODE_LOST, Status.NODE_LOST, text, name, since_s))
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            if status.hardware_id == _RECORDER:
+                self._on_recorder(status.message if status.level == DiagnosticStatus.ERROR else "")
+
+    def _on_recorder(self, error: str) -> None:
+        """The recorder has told whether it can write."""
+        before, self._cell.recorder_error = self._cell.recorder_error, error
+        if error and not before:
+            self.get_logger().error(f"{_RECORDER}: {error}")
+            if self.values.without_recorder != "go_on":
+                self._desk.ask(Request(Event.FAULT, Status.DISK_FULL, error, _RECORDER))
 
     def _look_at_clock(self) -> None:
         before_s, self._clock_s = self._clock_s, self.now_s()

@@ -121,7 +121,10 @@ def test_every_subscription_and_call_has_somebody_who_answers(facts: dict[str, A
     ends = [end for node in facts.values() for end in node.endpoints]
     served = {(e.name, e.kind) for e in ends if e.role in ("publishes", "serves")}
     used = {(e.name, e.kind) for e in ends if e.role in ("subscribes", "calls")}
-    every_node = {("heartbeat", "skinplan_msgs/msg/Heartbeat")}
+    every_node = {
+        ("heartbeat", "skinplan_msgs/msg/Heartbeat"),
+        ("diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+    }
     # Drivers need not have these: the cell works with their actions alone.
     optional = {(f"{device}/state", "skinplan_msgs/msg/DeviceState") for device in DEVICES}
     optional |= {(f"{device}/reset", "std_srvs/srv/Trigger") for device in DEVICES}

@@ -85,7 +85,7 @@ class Run:
 
     def _call(self, kind: Any, request: Any) -> Any:
         """Asks again after a while: the answer of a server that has just come up may get lost."""
-        self.bench.wait(self._clients[kind].service_is_ready)
+        patiently(self._clients[kind].service_is_ready)
         for _ in range(5):
             answer = self._clients[kind].call_async(request)
             deadline = time.monotonic() + 3.0
@@ -101,10 +101,10 @@ class Run:
             fits = last is not None and last.state == state
             return last if fits and sub_state in (None, last.sub_state) else None
 
-        return self.bench.wait(found)
+        return patiently(found, 60.0)
 
     def until_scanned(self, point: int) -> None:
-        self.bench.wait(lambda: point in self.cell.seen)
+        patiently(lambda: point in self.cell.seen, 60.0)
 
     def ended(self) -> dict[str, Any]:
         self.until(JobStatus.ENDED)
@@ -322,6 +322,15 @@ def test_re_scans_are_bounded(run: Callable[..., Run]) -> None:
     assert summary["measured"]["area_ratio"] == pytest.approx(5 / 6)
 
 
+def patiently(condition: Callable[[], Any], timeout_s: float = 90.0) -> Any:
+    """Waits until a condition is true."""
+    deadline = time.monotonic() + timeout_s
+    while not (value := condition()):
+        assert time.monotonic() < deadline, "the condition did not come true in time"
+        time.sleep(0.01)
+    return value
+
+
 class Process:
     """The supervisor as a process of its own, to be killed."""
 
@@ -336,8 +345,9 @@ class Process:
 
     def start(self) -> None:
         self._process = subprocess.Popen(self._command)
+        # A process of its own needs long to start on a busy machine.
         client = self._job.bench.tester.create_client(JobGet, "jobs/get")
-        self._job.bench.wait(client.service_is_ready)
+        patiently(client.service_is_ready)
 
     def kill(self) -> None:
         os.kill(self._process.pid, signal.SIGKILL)
@@ -345,7 +355,11 @@ class Process:
 
     def end(self) -> None:
         self._process.terminate()
-        self._process.wait(20)
+        try:
+            self._process.wait(30)
+        except subprocess.TimeoutExpired:
+            self._process.kill()
+            raise
 
 
 @pytest.fixture
@@ -373,7 +387,8 @@ def test_a_killed_supervisor_goes_on_with_the_rest(
     process.start()
     summary = job.ended()
     assert set(job.cell.seen) == set(range(6))
-    assert len(job.cell.asked) == 2 and 0 not in job.cell.asked[1]
+    # The arm was found where the dead supervisor's goal had brought it.
+    assert len(job.cell.asked) == 2 and not {0, 1} & set(job.cell.asked[1])
     assert job.cell.calls.count("localize") == 3, "it is not known where the base is"
     assert job.cell.inspections == [("frames", False), ("frames", True)]
     (stood,) = summary["interruptions"]

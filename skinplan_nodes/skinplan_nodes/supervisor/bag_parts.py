@@ -4,14 +4,17 @@ Needs no ROS.
 """
 
 import logging
+import time
 from collections.abc import Mapping
 from typing import Any
 
 from skinplan.errors import SkinplanError
 from skinplan_nodes.supervisor.cell import Cell
-from skinplan_nodes.supervisor.control import StepError
+from skinplan_nodes.supervisor.control import InterruptError, StepError
 from skinplan_nodes.supervisor.record import RunRecord
 
+# A recorder that can't write is asked again at most so often, wall time [s].
+_AGAIN_S = 20.0
 _log = logging.getLogger(__name__)
 
 
@@ -34,6 +37,7 @@ class BagParts:
         self._needed = needed
         self._pid = 0
         self._open = False
+        self._refused_s = float("-inf")
         self.part = 0
         self._closed: list[dict[str, Any]] = []
 
@@ -48,15 +52,18 @@ class BagParts:
             StepError: The recorder did not open it, and the job waits for it.
         """
         pid = self._cell.recorder_pid()
-        if self._open and pid == self._pid:
+        if self._open and pid == self._pid and not self._cell.recorder_failure():
             return
-        self._lose()
+        self._end_part()
         part = self.part + 1
         while self._record.folder.bag(part).exists():
             part += 1
         try:
             self._cell.start_recording(self._record.folder.bag(part), self._metadata)
+        except InterruptError:
+            raise
         except StepError as error:
+            self._refused_s = time.monotonic()
             if self.part and not self._needed:
                 _log.warning("the recorder does not record: %s", error)
                 self._record.folder.note(f"goes on without recorder: {error}")
@@ -66,31 +73,37 @@ class BagParts:
         self._record.bag(part, pid, opened=True)
 
     def tend(self) -> None:
-        """Opens another part when the recorder is another process than that of the open one."""
+        """Begins another part when the recorder is another process, or can't write this one."""
         pid = self._cell.recorder_pid()
-        if self.part and pid and pid != self._pid:
+        waited = time.monotonic() - self._refused_s > _AGAIN_S
+        lost = not self._open or pid != self._pid or self._cell.recorder_failure()
+        if self.part and pid and lost and waited:
             self.open()
 
     def close(self) -> dict[str, Any]:
         """Closes the open part; returns the figures of the bag. What fails is noted, not raised."""
-        if self._open and self._cell.recorder_pid() == self._pid:
-            try:
-                self._closed.append(self._cell.stop_recording())
-                self._record.bag(self.part, self._pid, opened=False)
-            except (SkinplanError, OSError) as error:
-                self._record.folder.note(f"closing the bag: {error}")
-                _log.error("closing the bag: %s", error)
-                self._lose()
-        else:
-            self._lose()
-        self._open = False
+        self._end_part()
         return self._figures()
 
-    def _lose(self) -> None:
-        if self._open:
-            self._open = False
-            folder = self._record.folder.bag(self.part)
-            self._closed.append({"path": str(folder), "closed": False})
+    def _end_part(self) -> None:
+        """Closes the open part, or notes that nobody can close it any more."""
+        if not self._open:
+            return
+        self._open = False
+        folder = self._record.folder
+        lost: dict[str, Any] = {"path": str(folder.bag(self.part)), "closed": False}
+        if self._cell.recorder_pid() == self._pid:
+            try:
+                lost = self._cell.stop_recording()
+            except (SkinplanError, OSError) as error:
+                folder.note(f"closing the bag: {error}")
+                _log.error("closing the bag: %s", error)
+                lost["error"] = str(error)
+        self._closed.append(lost)
+        try:
+            self._record.bag(self.part, self._pid, opened=False)
+        except OSError as error:
+            _log.error("the journal can't be written: %s", error)
 
     def _figures(self) -> dict[str, Any]:
         """The newest closed part's figures, and all parts where there are several."""

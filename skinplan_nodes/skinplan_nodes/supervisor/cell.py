@@ -55,6 +55,9 @@ class Cell(Protocol):
     def recorder_pid(self) -> int:
         """Returns the process of the recorder, 0 = it is not there."""
 
+    def recorder_failure(self) -> str:
+        """Returns why the recorder can't write; empty = it can, or is not there."""
+
     def start_inspection(self, job: Job, folder: Path, resume: bool = False) -> int:
         """Begins to collect scan frames, or goes on; returns how many there are already."""
 
@@ -99,6 +102,9 @@ class Cell(Protocol):
 
     def enable_scanner(self, enabled: bool) -> None:
         """Switches the scanner."""
+
+    def meet(self) -> None:
+        """Waits, bounded, until the devices of a cell that runs already are found and heard."""
 
     def halt(self, stop_devices: bool) -> None:
         """Stops arm and base, switches the scanner off, and sees to it that nothing moves.

@@ -245,6 +245,8 @@ class Mission:
     def _stop(self) -> Event:
         """Makes everything stand still, and says whose turn it is."""
         steps = self._steps
+        if self._restoring.taken_over:
+            steps.cell.meet()
         steps.cell.halt(stop_devices=steps.stopped or not self._restoring.only_commands())
         steps.progress = steps.progress.switched(False)
         self._restoring.locate_arm()

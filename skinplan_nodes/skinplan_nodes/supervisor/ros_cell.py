@@ -59,6 +59,7 @@ _SERVICE_S = 10.0
 _INSPECT_S = 120.0
 _CLOSE_S = 60.0
 _HALT_S = 1.0
+_MEET_S = 5.0
 # What a trajectory may take longer than planned: scaled speed, a protective slow-down.
 _TRAJECTORY_FACTOR, _TRAJECTORY_EXTRA_S = 3.0, 20.0
 
@@ -88,6 +89,7 @@ class RosCell:
         self._calls = Calls(node, self.waiter)
         self._devices = Devices(node, self.waiter, on_fault)
         self._motion = Motion(node)
+        self.recorder_error = ""
         self._T_odom_located: Array | None = None
         self._path_msg: Any = None
         # Of the stations planned last; without a frame: not known.
@@ -142,6 +144,10 @@ class RosCell:
     def recorder_pid(self) -> int:
         """Returns the process of the recorder, 0 = it is not there."""
         return self._watch.pid("run_recorder", time.monotonic())
+
+    def recorder_failure(self) -> str:
+        """Returns why the recorder can't write; empty = it can, or is not there."""
+        return self.recorder_error
 
     def start_recording(self, folder: Path, metadata: Mapping[str, str]) -> None:
         """Opens the bag."""
@@ -302,6 +308,18 @@ class RosCell:
             raise StepError(
                 Status.DEVICE_FAILED, f"the scanner did not switch: {response.message}", _SCANNER
             )
+
+    def meet(self) -> None:
+        """Waits, bounded, until the devices of a cell that runs already are found and heard.
+
+        A node that has just started does not see the others yet: it would stop nobody.
+        """
+        deadline = time.monotonic() + _MEET_S
+        while time.monotonic() < deadline:
+            served = all(client.server_is_ready() for client in self._actions.values())
+            if served and self._motion.joints() is not None and self._motion.base() is not None:
+                return
+            time.sleep(0.02)
 
     def halt(self, stop_devices: bool) -> None:
         """Stops arm and base, switches the scanner off, and sees to it that nothing moves.
