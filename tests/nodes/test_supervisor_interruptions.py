@@ -299,6 +299,34 @@ def test_abort_stops_at_once(run: Callable[..., Run]) -> None:
     job.stands_still()
 
 
+@pytest.mark.long
+def test_the_next_job_brings_the_arm_home_the_way_it_came(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(3)
+    job.command(Ask.ABORT)
+    job.aborted()
+    far = job.cell.arm.q.copy()
+    goals = len(job.cell.arm.goals)
+    again = Job(job_id="j2", part=PartReference(uri=str(job.part.source)))
+    job._call(JobSubmit, JobSubmit.Request(job=again))
+    job.until(JobStatus.ENDED)
+    back = job.cell.arm.goals[goals]
+    np.testing.assert_allclose(back[0], far, atol=1e-6)
+    np.testing.assert_allclose(back[-1], HOME, atol=1e-6)
+
+
+@pytest.mark.long
+def test_a_base_does_not_drive_with_an_arm_that_somebody_left_anywhere(
+    run: Callable[..., Run],
+) -> None:
+    job = run().supervise()
+    job.cell.arm.move(HOME + 0.4)
+    summary = job.submit().aborted()
+    assert summary["error"]["code"] == Status.START_STATE_INVALID
+    assert "by hand" in summary["error"]["message"]
+    assert "drive" not in job.cell.calls
+
+
 def test_what_is_missing_is_scanned_again(run: Callable[..., Run]) -> None:
     job = run().supervise()
     job.cell.blind = {2, 3}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from skinplan.trajectory.model import SCAN, Segment
-from skinplan_nodes.supervisor.reentry import nearest, passed, rest, slowed_start, until
+from skinplan_nodes.supervisor.reentry import nearest, passed, rest, slowed_start, until, way_back
 
 
 def segment(seed: int = 1, points: int = 5, duration_s: float = 4.0) -> Segment:
@@ -114,3 +114,35 @@ def test_a_slow_start_leaves_way_and_points_as_they_are() -> None:
     slow = slowed_start(way)
     np.testing.assert_array_equal(slow.positions, way.positions)
     assert slow.points.tolist() == way.points.tolist() and slow.duration_s > way.duration_s
+
+
+def test_the_way_back_is_the_way_there_turned_round() -> None:
+    first = segment(3)
+    second = segment(4)
+    joined = Segment(
+        SCAN,
+        second.times,
+        second.positions + first.positions[-1] - second.positions[0],
+        second.velocities,
+        second.points,
+        1.0,
+    )
+    piece = until(joined, 1.3)
+    assert piece is not None
+    here = piece.positions[-1] + 0.003
+    back = way_back([first, piece], here, 0.02)
+    assert back is not None
+    np.testing.assert_array_equal(back.positions[0], here)
+    np.testing.assert_array_equal(back.positions[-1], first.positions[0])
+    assert (np.diff(back.times) > 0.0).all()
+    assert back.duration_s > 2.0 * (first.duration_s + 1.3)
+    assert len(back.points) == 0
+    # Every place of it lies on the way there.
+    for q in back.positions[1:]:
+        near = min(nearest(part, q, 1e-6).distance_rad for part in (first, piece))
+        assert near < 1e-9
+    speed = np.abs(np.diff(back.positions, axis=0)).max(axis=1) / np.diff(back.times)
+    there = np.abs(np.diff(first.positions, axis=0)).max(axis=1) / np.diff(first.times)
+    assert speed[2:].max() < there.max()
+    assert way_back([first], here, 0.02) is None
+    assert way_back([], here, 0.02) is None

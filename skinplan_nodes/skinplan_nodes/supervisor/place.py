@@ -10,9 +10,13 @@ from dataclasses import dataclass, field, replace
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.trajectory.model import SCAN, Segment, StationTrajectory
 from skinplan.transforms import Array
+from skinplan_nodes.supervisor import reentry
 from skinplan_nodes.supervisor.cell import Located
 from skinplan_nodes.supervisor.machine import State
 from skinplan_nodes.supervisor.run_data import PlannedPath
+
+#: The arm stands on its way within this, largest difference of a joint [rad].
+ON_WAY_RAD = 0.02
 
 
 @dataclass
@@ -30,6 +34,7 @@ class Place:
         trajectory: What the arm does at the present station; None = not planned.
         segment: Index of the segment that comes next, or is being executed.
         executed: What the arm has done at this station before `trajectory` was planned.
+        left_home: Index of the first segment of `executed` since the arm was at home.
         passed_s: Points of the path that were scanned, with the monotonic time [s].
         rest: What is left of the present segment after an interruption; None = all of it.
         resuming: The next motion begins slowly.
@@ -45,6 +50,7 @@ class Place:
     trajectory: StationTrajectory | None = None
     segment: int = 0
     executed: list[Segment] = field(default_factory=list)
+    left_home: int = 0
     passed_s: dict[int, float] = field(default_factory=dict)
     rest: Segment | None = None
     resuming: bool = False
@@ -77,6 +83,23 @@ class Place:
     def leave(self) -> None:
         """Forgets what belongs to a station."""
         self.trajectory, self.segment, self.executed, self.rest = None, 0, [], None
+        self.left_home = 0
+
+    def way_home(self, joints: Array) -> Segment | None:
+        """Returns the way home over what the arm has done here; None = not known.
+
+        Args:
+            joints: Where the arm stands, shape (6,) [rad].
+        """
+        parts = self.executed[self.left_home :]
+        if self.trajectory is not None:
+            parts += self.trajectory.segments[: self.segment]
+        if self.current is not None:
+            on_way = reentry.nearest(self.current, joints, ON_WAY_RAD)
+            piece = reentry.until(self.current, on_way.time_s)
+            if on_way.distance_rad <= ON_WAY_RAD and piece is not None:
+                parts.append(piece)
+        return reentry.way_back(parts, joints, ON_WAY_RAD)
 
     def finish_segment(self, began_s: float) -> Segment:
         """Notes that the present segment was executed to its end; returns it.

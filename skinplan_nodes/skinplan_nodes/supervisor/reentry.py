@@ -3,11 +3,12 @@
 Needs no ROS.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from skinplan.trajectory.model import Segment
+from skinplan.trajectory.model import TRANSIT, Segment
 from skinplan.transforms import Array
 
 # The arm takes its way up again from this share of the planned speed, within this planned time.
@@ -15,6 +16,8 @@ _FIRST_RATE, _RAMP_S = 0.1, 1.0
 # It comes back onto its way no faster than this [rad/s].
 _RETURN_RAD_S = 0.2
 _LEAST_S = 1e-3
+# Speed of the way back, in shares of the speed of the way there.
+_BACK_RATE = 0.5
 
 
 @dataclass(frozen=True)
@@ -117,6 +120,38 @@ def slowed_start(segment: Segment) -> Segment:
     """Returns a segment that is begun slowly."""
     found = rest(segment, 0.0, segment.positions[0])
     return segment if found is None else replace(found, points=segment.points)
+
+
+def way_back(parts: Sequence[Segment], joints: Array, tolerance_rad: float) -> Segment | None:
+    """Returns the way back over what the arm has done, at half the speed.
+
+    It is free of collision because the arm has come along it.
+
+    Args:
+        parts: What it has done, each beginning where the one before ends.
+        joints: Where it stands, shape (6,) [rad].
+        tolerance_rad: So near the end of the parts it has to stand [rad].
+
+    Returns:
+        From where the arm stands to the begin of the first part; None = it stands elsewhere.
+    """
+    if not parts or np.abs(parts[-1].positions[-1] - joints).max() > tolerance_rad:
+        return None
+    begins = np.cumsum([0.0, *(part.duration_s for part in parts)])
+    # Where two parts meet, one sample is enough.
+    times = np.concatenate([part.times[:-1] + t for part, t in zip(parts, begins, strict=False)])
+    times = np.append(times, begins[-1])
+    positions = np.vstack([*(part.positions[:-1] for part in parts), parts[-1].positions[-1:]])
+    velocities = np.vstack([*(part.velocities[:-1] for part in parts), 0.0 * positions[-1:]])
+    back = Segment(
+        TRANSIT,
+        (times[-1] - times[::-1]) / _BACK_RATE,
+        positions[::-1],
+        -velocities[::-1] * _BACK_RATE,
+        np.zeros(0, dtype=np.int64),
+        sum(part.tcp_path_m for part in parts),
+    )
+    return rest(back, 0.0, joints)
 
 
 def _times_of_points(segment: Segment) -> Array:

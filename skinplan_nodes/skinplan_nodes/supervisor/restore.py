@@ -132,8 +132,10 @@ class _Reader:
         if state in _GOES_ON:
             if values["station"] != place.station:
                 place.leave()
+            if state is State.DRIVING and place.trajectory is not None:
+                place.executed += place.trajectory.segments[: place.segment]
+                place.trajectory = None
             if state is State.DRIVING:
-                place.leave()
                 place.located = None
             place.state, place.station = state, values["station"]
             place.segment = values["segment"]

@@ -17,12 +17,13 @@ from skinplan_nodes.supervisor.faults import (
     answer_to,
 )
 from skinplan_nodes.supervisor.machine import Event, State
+from skinplan_nodes.supervisor.place import ON_WAY_RAD
 from skinplan_nodes.supervisor.steps import Steps
 
-# The arm stands on its segment's way within this, largest difference of a joint [rad].
-_ON_WAY_RAD = 0.02
 # The base is where it located the part within this [m].
 _BASE_MOVED_M = 0.005
+# Further away it does not stand at its station any more [m].
+_BASE_AWAY_M = 0.15
 # What was scanned before a failure is merged, but nobody who ended the job waits long for that.
 _SALVAGE_S, _SALVAGE_ABORTED_S = 30.0, 1.0
 _AT_STATION = (State.PLANNING_TRAJECTORY, State.MOVING, State.SCANNING)
@@ -77,8 +78,8 @@ class Restoring:
         segment, joints = place.current, steps.cell.arm_joints()
         if place.state not in (State.MOVING, State.SCANNING) or segment is None or joints is None:
             return
-        found = reentry.nearest(segment, joints, _ON_WAY_RAD)
-        if found.distance_rad > _ON_WAY_RAD:
+        found = reentry.nearest(segment, joints, ON_WAY_RAD)
+        if found.distance_rad > ON_WAY_RAD:
             return
         place.note_points(segment, found.time_s, steps.segment_began_s)
         steps.record.points(place, place.segment)
@@ -131,8 +132,8 @@ class Restoring:
         if self._base_may_have_moved():
             self._cut()
             driven_off = any(error.code in BASE_MAY_HAVE_MOVED for error in self._reasons)
-            home = self.steps.at_home() and self.steps.cell.arm_joints() is not None
-            return Event.AGAIN_DRIVE if driven_off and home else Event.AGAIN_LOCALIZE
+            driven_off = driven_off or self.steps.cell.base_moved_m() > _BASE_AWAY_M
+            return Event.AGAIN_DRIVE if driven_off else Event.AGAIN_LOCALIZE
         if place.state in (State.MOVING, State.SCANNING) and self._on_way():
             segment = place.current
             if segment is None:
@@ -168,8 +169,8 @@ class Restoring:
         if self._unsure or segment is None or joints is None:
             self._unsure = False
             return False
-        found = reentry.nearest(segment, joints, _ON_WAY_RAD)
-        if found.distance_rad > _ON_WAY_RAD:
+        found = reentry.nearest(segment, joints, ON_WAY_RAD)
+        if found.distance_rad > ON_WAY_RAD:
             self.steps.record.folder.note(
                 f"the arm stands {found.distance_rad:.3f} rad beside its way: planned anew"
             )
@@ -188,9 +189,9 @@ class Restoring:
         segment, joints = place.current, self.steps.cell.arm_joints()
         if place.state in (State.MOVING, State.SCANNING) and segment is not None:
             if joints is not None:
-                found = reentry.nearest(segment, joints, _ON_WAY_RAD)
+                found = reentry.nearest(segment, joints, ON_WAY_RAD)
                 piece = reentry.until(segment, found.time_s)
-                if found.distance_rad <= _ON_WAY_RAD and piece is not None:
+                if found.distance_rad <= ON_WAY_RAD and piece is not None:
                     done.append(piece)
         place.executed += done
         place.trajectory, place.segment, place.rest = None, 0, None

@@ -26,6 +26,7 @@ from skinplan_nodes.supervisor.record import RunRecord
 from skinplan_nodes.supervisor.run_data import Round
 
 _NOTHING_MISSING, _NO_CANDIDATES, _NOTHING_REACHED, _NO_TRACKER = 122, 400, 401, 403
+_START_STATE = 500
 _NO_TRAJECTORY, _NO_CLOUD, _ALIGNMENT_FAILED, _NOT_INSPECTING = 501, 901, 902, 903
 _NOTHING_TO_RESCAN = (_NOTHING_MISSING, _NO_CANDIDATES, _NOTHING_REACHED, _NO_TRACKER)
 _NOTHING_MEASURED = (_NO_CLOUD, _ALIGNMENT_FAILED)
@@ -61,6 +62,7 @@ class Steps:
         place: Where in its plan the job is.
         progress: How far it is.
         stopped: The job was told to stop: what was measured is its result.
+        left: Where the job before this one has left the arm; None = at home.
     """
 
     job: Job
@@ -72,6 +74,7 @@ class Steps:
     place: Place = field(default_factory=Place)
     progress: Progress = field(default_factory=Progress)
     stopped: bool = False
+    left: Place | None = None
     segment_began_s: float = math.inf
 
     def starting(self) -> Event:
@@ -83,10 +86,10 @@ class Steps:
         return Event.DONE
 
     def driving(self) -> Event:
-        """Drives to the work position, or to the next station."""
+        """Drives to the work position, or to the next station, with the arm at home."""
         place = self.place
-        place.leave()
-        place.located = None
+        self._bring_home()
+        place.trajectory, place.segment, place.rest, place.located = None, 0, None, None
         goal = self.config.T_map_work if place.plan is None else place.here.T_map_base_link
         self.cell.drive(goal)
         return Event.DONE
@@ -154,6 +157,8 @@ class Steps:
                 place.located.T_arm_base_workpiece,
                 points,
             )
+        if self.at_home():
+            place.left_home = len(place.executed)
         if made is None and not self.at_home():
             self._require_way_home(points)
             made = self._way_home()
@@ -230,6 +235,25 @@ class Steps:
         return joints is None or bool(
             np.abs(joints - np.asarray(self.config.home_rad)).max() < _AT_HOME_RAD
         )
+
+    def _bring_home(self) -> None:
+        """Brings the arm home the way that it has come, where something has left it elsewhere."""
+        joints = self.cell.arm_joints()
+        if joints is None or self.at_home():
+            self.left = None
+            return
+        ways = [place.way_home(joints) for place in (self.place, self.left) if place is not None]
+        way = next((way for way in ways if way is not None), None)
+        if way is None:
+            raise StepError(
+                _START_STATE,
+                "the arm stands away from home, and how it came there is not known; it is driven "
+                "only with the arm at home: move it there by hand",
+                "arm",
+            )
+        self.record.folder.note(f"the arm goes home the way it has come, {way.duration_s:.1f} s")
+        self.cell.execute(way)
+        self.place.left_home, self.left = len(self.place.executed), None
 
     def _points_to_scan(self) -> list[int]:
         place = self.place

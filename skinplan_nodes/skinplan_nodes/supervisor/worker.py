@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +22,7 @@ from skinplan_nodes.supervisor.faults import NODE_LOST
 from skinplan_nodes.supervisor.limits import Limits
 from skinplan_nodes.supervisor.machine import State, job_state
 from skinplan_nodes.supervisor.mission import Mission, ResumeSettings
+from skinplan_nodes.supervisor.place import Place
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.record import RunRecord
 from skinplan_nodes.supervisor.restore import (
@@ -101,6 +102,7 @@ class JobWorker:
     runs_folder: Path
     code_of: Callable[[SkinplanError], int]
     settings: WorkSettings
+    _left: list[Place] = field(default_factory=list)
 
     def work(
         self, job: Job, control: JobControl, on_progress: OnProgress, resume: bool = False
@@ -188,6 +190,8 @@ class JobWorker:
         bag = BagParts(self.cell, record, _metadata(job, part), settings.needs_recorder)
         bag.restore(found.bag_part, found.recorder_pid, found.bag_open)
         steps = Steps(job, self.config, self.cell, record, bag, settings.rescans, found.place)
+        steps.left = self._left[-1] if self._left else None
+        self._left[:] = [steps.place]
         if found.place.plan is not None:
             steps.progress = steps.progress.planned(
                 found.place.plan, self.config.settle_s, found.place.rescan
