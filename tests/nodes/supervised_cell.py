@@ -55,7 +55,7 @@ HOME = np.array(CellConfig().home_rad)
 STEP_RAD = 0.1
 SPEED_RAD_S = 0.6
 _OK = Status(code=Status.OK)
-_TICK_S = 0.01
+_TICK_S = 0.02
 
 
 class Arm:

@@ -86,7 +86,7 @@ class Run:
     def _call(self, kind: Any, request: Any) -> Any:
         """Asks again after a while: the answer of a server that has just come up may get lost."""
         patiently(self._clients[kind].service_is_ready)
-        for _ in range(5):
+        for _ in range(20):
             answer = self._clients[kind].call_async(request)
             deadline = time.monotonic() + 3.0
             while not answer.done() and time.monotonic() < deadline:
@@ -408,6 +408,7 @@ def killed(run: Callable[..., Run]) -> Iterator[Callable[..., tuple[Run, Process
         process.end()
 
 
+@pytest.mark.long
 def test_a_killed_supervisor_goes_on_with_the_rest(
     killed: Callable[..., tuple[Run, Process]],
 ) -> None:
