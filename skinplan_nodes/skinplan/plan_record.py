@@ -1,26 +1,29 @@
 """A plan on record: its hash, its JSON files, and the figures of ``summary.json``."""
 
 import hashlib
-import json
 import math
-import os
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from skinplan.json_file import plain as plain
+from skinplan.json_file import write_json as write_json
 from skinplan.scan_path.model import FEATURE, ScanPath
 from skinplan.scanner.figures import seen_ratio
 from skinplan.scanner.model import CoverageFigures
 from skinplan.scanner.sight import SIGHT_NAMES
 from skinplan.stations.model import SkippedPoint, StationPlan
-from skinplan.trajectory.certify import TimedCoverage
-from skinplan.trajectory.cycle import CycleTime
 from skinplan.trajectory.model import SCAN, StationTrajectory
 from skinplan.trajectory.pass_record import passes_document, passes_summary
 from skinplan.transforms import Array, heading, quaternion
+
+if TYPE_CHECKING:
+    # Who writes a hash into a message does not plan.
+    from skinplan.trajectory.certify import TimedCoverage
+    from skinplan.trajectory.cycle import CycleTime
 
 # Hashes are taken over whole micrometres, microradians and microseconds: far below what a device
 # can tell, far above rounding.
@@ -74,9 +77,9 @@ def planning_summary(
     coverage: CoverageFigures | None,
     station_plan: StationPlan | None,
     trajectories: Sequence[StationTrajectory],
-    cycle: CycleTime | None,
+    cycle: "CycleTime | None",
     planning_s: Mapping[str, float],
-    timed: TimedCoverage | None = None,
+    timed: "TimedCoverage | None" = None,
 ) -> dict[str, Any]:
     """Returns the planning part of ``summary.json``; the keys that a plan and a run share.
 
@@ -161,29 +164,6 @@ def write_plan_files(
         write_json(folder / "trajectories.json", _trajectories_document(trajectories, joint_names))
 
 
-def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Writes a JSON file in one step: a reader sees the old one or the new one, never half."""
-    text = json.dumps(plain(document), indent=1, allow_nan=False)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text + "\n", encoding="utf-8")
-    temporary.replace(path)
-
-
-def plain(value: Any) -> Any:
-    """Returns a document without NumPy types, in which NaN and infinities are None."""
-    if isinstance(value, Mapping):
-        return {str(key): plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [plain(item) for item in value]
-    if isinstance(value, np.ndarray):
-        return plain(value.tolist())
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value
-
-
 def _whole_microseconds(times: Array) -> Any:
     return np.rint(np.rint(times * 1e9) / 1e3).astype(np.int64)
 
@@ -229,7 +209,7 @@ def _stations_summary(plan: StationPlan) -> dict[str, Any]:
     }
 
 
-def _cycle_summary(cycle: CycleTime, skipped: Sequence[SkippedPoint]) -> dict[str, Any]:
+def _cycle_summary(cycle: "CycleTime", skipped: Sequence[SkippedPoint]) -> dict[str, Any]:
     return {
         "scan_s": cycle.scan_s,
         "transit_s": cycle.transit_s,
@@ -244,7 +224,7 @@ def _cycle_summary(cycle: CycleTime, skipped: Sequence[SkippedPoint]) -> dict[st
     }
 
 
-def _timed_summary(timed: TimedCoverage) -> dict[str, Any]:
+def _timed_summary(timed: "TimedCoverage") -> dict[str, Any]:
     found = timed.coverage
     return {
         "area_ratio": found.area_ratio,

@@ -26,7 +26,7 @@ from skinplan.errors import SkinplanError
 from skinplan.inspection.report import write_report
 from skinplan.jobs.model import Job, JobRecord, JobState
 from skinplan.jobs.states import is_over
-from skinplan.plan_record import write_json
+from skinplan.json_file import write_json
 from skinplan.robot.cell_file import load_cell
 from skinplan_nodes.conversions import job_to_msg
 from skinplan_nodes.measure_client import MeasureClient

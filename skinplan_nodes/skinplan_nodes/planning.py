@@ -8,7 +8,7 @@ from skinplan.errors import MeshHashError
 from skinplan.part.model import Part
 from skinplan.robot.cell import CellConfig, load_cell
 from skinplan.scan_path.model import ScanPath
-from skinplan_nodes.conversions import require_points, scan_path_from_msg
+from skinplan_nodes import conversions
 
 
 def configured_cell(cell_file: str) -> CellConfig:
@@ -27,7 +27,8 @@ def requested_path(msg: messages.ScanPath, part: Part) -> ScanPath:
         ScanPathInvalidError: No points, another frame, or numbers that can't be used.
         MeshHashError: It was planned on another mesh than the part's.
     """
-    path = require_points(scan_path_from_msg(msg))
+    # Looked up when it is needed: most nodes need the cell's figures only.
+    path = conversions.require_points(conversions.scan_path_from_msg(msg))
     if msg.mesh_sha256 and msg.mesh_sha256 != part.mesh_sha256:
         raise MeshHashError(
             f"the scan path was planned on the mesh with SHA-256 {msg.mesh_sha256}, part {part.id} "

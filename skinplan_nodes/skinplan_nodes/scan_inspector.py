@@ -25,7 +25,6 @@ from skinplan.inspection.frame_check import FrameCheck
 from skinplan.inspection.spool import SpoolOwner
 from skinplan.robot.arm import ArmModel
 from skinplan.scanner.model import ScannerModel
-from skinplan_nodes.camera_feed import Frames
 from skinplan_nodes.conversions import (
     CoverageProgress,
     coverage_progress_to_msg,
@@ -36,6 +35,7 @@ from skinplan_nodes.conversions import (
     scan_frame_from_msg,
     stamp_from_msg,
 )
+from skinplan_nodes.frame_tree import Frames
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, load
 from skinplan_nodes.part_cache import PartCache

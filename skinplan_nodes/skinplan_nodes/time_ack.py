@@ -8,7 +8,7 @@ from skinplan_nodes.qos import STATE
 
 TOPIC = "clock/progress"
 # Not told more often than that, on the cell's clock [s].
-_STEP_S = 0.2
+_STEP_S = 0.5
 
 
 class TimeAck:

@@ -3,6 +3,7 @@
 import subprocess
 import sys
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -240,18 +241,17 @@ def test_the_cloud_does_not_pass_through_base_or_arm(part: Part) -> None:
     """Ten times the error of base and arm: the same points, bit by bit, and the same result."""
     clouds, results = [], []
     for times in (1.0, 10.0):
-        bench = Bench()
-        error = transform((0.002, -0.003, 0.002))
-        scan, coverage, inspector = start_scan_of(bench, part, error)
-        scan.joint_error_rad = times * 5e-5
-        scan.base_error_m = times * 0.05
-        scan.publish_all()
-        bench.wait(lambda c=coverage: c[-1].frames == 20, turning=True)
-        intake = inspector._intake
-        assert intake is not None
-        clouds.append(intake.session.merged())
-        results.append(finish(bench, scan=scan))
-        bench.close()
+        with closing(Bench()) as bench:
+            error = transform((0.002, -0.003, 0.002))
+            scan, coverage, inspector = start_scan_of(bench, part, error)
+            scan.joint_error_rad = times * 5e-5
+            scan.base_error_m = times * 0.05
+            scan.publish_all()
+            bench.wait(lambda c=coverage: c[-1].frames == 20, turning=True)
+            intake = inspector._intake
+            assert intake is not None
+            clouds.append(intake.session.merged())
+            results.append(finish(bench, scan=scan))
         assert not bench.failures
     assert len(clouds[0]) > 1000
     assert np.array_equal(clouds[0], clouds[1]), "in the tracker frame, bit by bit"
@@ -298,31 +298,30 @@ def test_a_scan_is_resumed_by_the_same_process(bench: Bench, part: Part, tmp_pat
 
 def test_a_scan_is_resumed_by_the_next_process(part: Part, tmp_path: Path) -> None:
     for number in range(2):
-        bench = Bench()
-        inspector = bench.start(ScanInspector, coverage_rate_hz=10.0)
-        bench.wait(lambda n=inspector: n.now_s() > 1.0, turning=True)
-        scan = Scan(bench, part)
-        coverage = bench.collect(CoverageState, "coverage", STATE)
-        scan.wait_for("scanner/points", "tracker/scanner_pose", "joint_states", "part_pose")
-        answer = start(bench, part, folder=tmp_path, resume=True)
-        assert (answer.status.code, answer.frames) == (Status.OK, 10 * number)
-        if number == 0:
-            scan.locate(np.eye(4))
-            bench.wait(lambda n=inspector: n._tracks.located)
-            half = scan.points[scan.points[:, 0] < 0.0]
-            for place, points in enumerate(np.array_split(half, 10)):
-                scan.publish(points, 2.0 + 0.1 * place)
-            scan.visible.publish(Bool(data=False))
-        # Where the part stands was kept, too: the next process has not located it.
-        bench.wait(
-            lambda c=coverage: c and c[-1].area_ratio > 0.45 and c[-1].frames_hidden == 1,
-            turning=True,
-        )
-        assert coverage[-1].frames == 10
-        if number == 1:
-            refused_elsewhere(bench, part, tmp_path)
-            assert finish(bench).result.area_ratio == pytest.approx(0.5, abs=0.06)
-        bench.close()
+        with closing(Bench()) as bench:
+            inspector = bench.start(ScanInspector, coverage_rate_hz=10.0)
+            bench.wait(lambda n=inspector: n.now_s() > 1.0, turning=True)
+            scan = Scan(bench, part)
+            coverage = bench.collect(CoverageState, "coverage", STATE)
+            scan.wait_for("scanner/points", "tracker/scanner_pose", "joint_states", "part_pose")
+            answer = start(bench, part, folder=tmp_path, resume=True)
+            assert (answer.status.code, answer.frames) == (Status.OK, 10 * number)
+            if number == 0:
+                scan.locate(np.eye(4))
+                bench.wait(lambda n=inspector: n._tracks.located)
+                half = scan.points[scan.points[:, 0] < 0.0]
+                for place, points in enumerate(np.array_split(half, 10)):
+                    scan.publish(points, 2.0 + 0.1 * place)
+                scan.visible.publish(Bool(data=False))
+            # Where the part stands was kept, too: the next process has not located it.
+            bench.wait(
+                lambda c=coverage: c and c[-1].area_ratio > 0.45 and c[-1].frames_hidden == 1,
+                turning=True,
+            )
+            assert coverage[-1].frames == 10
+            if number == 1:
+                refused_elsewhere(bench, part, tmp_path)
+                assert finish(bench).result.area_ratio == pytest.approx(0.5, abs=0.06)
         assert not bench.failures
 
 

@@ -1,6 +1,7 @@
 """The owner of the cell's time: jumps on demand, waiting for slow nodes, going on after an end."""
 
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -117,10 +118,9 @@ def test_time_gives_up_a_node_that_makes_no_progress(bench: Bench) -> None:
 def test_a_clock_that_is_started_again_goes_on(tmp_path: Path) -> None:
     last_s = 0.0
     for _ in range(2):
-        bench = Bench()
-        _, ticks = start(bench, time_file=str(tmp_path / "time"), time_factor=50.0)
-        assert seconds(ticks)[0] >= last_s
-        bench.wait(lambda t=ticks, s=last_s: seconds(t)[-1] > s + 5.0)
-        bench.close()
+        with closing(Bench()) as bench:
+            _, ticks = start(bench, time_file=str(tmp_path / "time"), time_factor=50.0)
+            assert seconds(ticks)[0] >= last_s
+            bench.wait(lambda t=ticks, s=last_s: seconds(t)[-1] > s + 5.0)
         last_s = max(seconds(ticks))
     assert last_s > 10.0
