@@ -14,8 +14,14 @@ ParameterValue = str | int | float | bool | list[str]
 PACKAGE = "skinplan_nodes"
 # Every tick costs every node of the graph about 1 ms: at 50 Hz, 13 nodes use up a core.
 CLOCK_RATE_HZ = 20.0
-# Joint states per second of simulated time; twice the rate of the scanner's frames.
-JOINT_RATE_HZ = 20.0
+# Joint states per second of simulated time, as the controller of the UR5 (CB3) reports them.
+JOINT_RATE_HZ = 125.0
+
+# Cell time runs no faster while plans are made: every node works for time that nobody needs, and
+# the planner waits for a core.
+COMPUTING_FACTOR = 5.0
+# Images per second of wall time at most: rendering, sending and packing one costs 0.2 s of CPU.
+IMAGE_RATE_HZ = 4.0
 
 # Nodes whose queues must not overflow: time waits for them.
 _TIME_WAITS_FOR = ("scan_inspector", "run_recorder")
@@ -92,6 +98,7 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
             {
                 "time_factor": float(settings.time_factor),
                 "rate_hz": CLOCK_RATE_HZ,
+                "computing_factor": COMPUTING_FACTOR,
                 "time_file": settings.clock_file,
                 "wait_for": list(_TIME_WAITS_FOR),
             },
@@ -99,7 +106,7 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
         NodeSpec("mock_mir100", True, True, mock),
         NodeSpec("mock_ur5", True, True, {**cell, "rate_hz": JOINT_RATE_HZ}),
         NodeSpec("mock_ctrack", True, True, mock),
-        NodeSpec("mock_camera", True, True, mock),
+        NodeSpec("mock_camera", True, True, {**mock, "rate_hz": _image_rate_hz(settings)}),
         NodeSpec("run_recorder", parameters=clock),
         NodeSpec("scan_path_planner", parameters=clock),
         NodeSpec("station_planner", parameters=cell),
@@ -115,6 +122,10 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
 def _patience(settings: GraphSettings) -> dict[str, ParameterValue]:
     """Waits on the cell's clock that allow for the load of this machine are longer in fast time."""
     return {"image_timeout_s": 5.0 * max(1.0, settings.time_factor)} if settings.simulated else {}
+
+
+def _image_rate_hz(settings: GraphSettings) -> float:
+    return float(min(1.0, max(0.1, IMAGE_RATE_HZ / settings.time_factor)))
 
 
 def _supervisor(

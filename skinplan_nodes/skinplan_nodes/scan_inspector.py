@@ -13,6 +13,7 @@ from geometry_msgs.msg import PoseStamped
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import JumpThreshold, TimeJump
 from rclpy.duration import Duration
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 from skinplan_msgs import msg as messages
 from skinplan_msgs.msg import Status
@@ -25,6 +26,7 @@ from skinplan.inspection.frame_check import FrameCheck
 from skinplan.inspection.spool import SpoolOwner
 from skinplan.robot.arm import ArmModel
 from skinplan.scanner.model import ScannerModel
+from skinplan.transforms import Array
 from skinplan_nodes.conversions import (
     CoverageProgress,
     coverage_progress_to_msg,
@@ -32,6 +34,7 @@ from skinplan_nodes.conversions import (
     joint_state_from_msg,
     part_pose_from_msg,
     pose_stamped_from_msg,
+    raw_stamp_s,
     scan_frame_from_msg,
     stamp_from_msg,
 )
@@ -81,7 +84,8 @@ class ScanInspector(CellNode):
         super().__init__(**kwargs)
         self._parts = PartCache()
         self._frames = Frames()
-        self._tracks = Tracks(ArmModel.load(configured_cell(self.values.cell_file)))
+        arm = ArmModel.load(configured_cell(self.values.cell_file))
+        self._tracks = Tracks(arm, self._positions_of)
         self._owner: SpoolOwner | None = None
         self._lock = threading.Lock()
         self._received = 0
@@ -111,11 +115,13 @@ class ScanInspector(CellNode):
             (PointCloud2, "scanner/points", self._on_points, STATE),
             (PoseStamped, "tracker/scanner_pose", self._on_scanner_pose, STATE),
             (Bool, "tracker/visible", self._on_visible, STATE),
-            (JointState, "joint_states", self._on_joint_state, STATE),
             (messages.PartPose, "part_pose", self._on_part_pose, LATCHED),
             (TFMessage, "tf", self._on_tf, STATE),
         ):
             self.create_subscription(kind, topic, handler, qos, callback_group=group)
+        self.create_subscription(
+            JointState, "joint_states", self._on_joint_state, STATE, callback_group=group, raw=True
+        )
 
     def _make_services(self) -> None:
         group = MutuallyExclusiveCallbackGroup()
@@ -266,14 +272,17 @@ class ScanInspector(CellNode):
         if intake is not None and not msg.data:
             intake.session.add_hidden()
 
-    def _on_joint_state(self, msg: JointState) -> None:
+    def _positions_of(self, state: bytes) -> Array | None:
         try:
-            positions, _ = joint_state_from_msg(msg)
+            return np.asarray(joint_state_from_msg(deserialize_message(state, JointState))[0])
         except SkinplanError as error:
             self._warn(str(error))
-            return
+            return None
+
+    def _on_joint_state(self, state: bytes) -> None:
+        stamp_s = raw_stamp_s(state)
         with self._lock:
-            self._tracks.add_joints(stamp_from_msg(msg.header.stamp), np.asarray(positions))
+            self._tracks.add_joints(stamp_s, state)
             if self._intake is not None and self._intake.unplaced:
                 self._intake.estimate(self._frames.moved_s)
             reached_s = self._tracks.reached_s(self._seen)

@@ -2,6 +2,7 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 
 from skinplan.robot.arm import ArmModel
 from skinplan.transforms import Array, inverse
@@ -9,7 +10,9 @@ from skinplan_nodes.conversions import LocatedPart
 
 # Stamps nearer than this are one moment.
 _SAME_MOMENT_S = 0.005
-_HISTORY = 2000
+_HISTORY = 4000
+# Between joint positions farther apart nothing is known [s].
+_GAP_S = 0.1
 # Poses may overtake each other by so much.
 _DISORDER_S = 0.25
 
@@ -19,17 +22,20 @@ class Tracks:
 
     Args:
         arm: The arm.
+        positions_of: Takes a serialised joint state apart, when it is needed: there are many of
+            them; returns positions, shape (6,) [rad], or None when it can't be used.
     """
 
-    def __init__(self, arm: ArmModel) -> None:
+    def __init__(self, arm: ArmModel, positions_of: Callable[[bytes], Array | None]) -> None:
         self._arm = arm
-        self._joints: deque[tuple[float, Array]] = deque(maxlen=_HISTORY)
+        self._positions_of = positions_of
+        self._joints: deque[tuple[float, bytes]] = deque(maxlen=_HISTORY)
         self._poses: deque[tuple[float, Array]] = deque(maxlen=_HISTORY)
         self.located: LocatedPart | None = None
 
-    def add_joints(self, stamp_s: float, positions: Array) -> None:
-        """Takes joint positions, shape (6,) [rad]."""
-        self._joints.append((stamp_s, positions))
+    def add_joints(self, stamp_s: float, state: bytes) -> None:
+        """Takes a serialised joint state."""
+        self._joints.append((stamp_s, state))
 
     def add_pose(self, stamp_s: float, T_tracker_scanner: Array) -> None:
         """Takes a scanner pose, shape (4, 4) [m]."""
@@ -63,17 +69,24 @@ class Tracks:
 
     def joints(self, stamp_s: float) -> Array | None:
         """Returns the joint positions at a time, linear between two; None = not known."""
-        after = None
-        for at, positions in reversed(self._joints):
+        after: tuple[float, bytes] | None = None
+        for at, state in reversed(self._joints):
             if at <= stamp_s + 1e-9:
                 if stamp_s - at < 1e-6:
-                    return positions
-                if after is None or after[0] - at > 0.1:
-                    return None
-                share = (stamp_s - at) / (after[0] - at)
-                return positions + share * (after[1] - positions)
-            after = (at, positions)
+                    return self._positions_of(state)
+                return None if after is None else self._between((at, state), after, stamp_s)
+            after = (at, state)
         return None
+
+    def _between(
+        self, before: tuple[float, bytes], after: tuple[float, bytes], stamp_s: float
+    ) -> Array | None:
+        if after[0] - before[0] > _GAP_S:
+            return None
+        first, last = self._positions_of(before[1]), self._positions_of(after[1])
+        if first is None or last is None:
+            return None
+        return first + (stamp_s - before[0]) / (after[0] - before[0]) * (last - first)
 
     def coarse(self, stamp_s: float) -> Array | None:
         """Returns ``T_tracker_workpiece`` by arm and localisation at a time; None = not known."""

@@ -12,14 +12,14 @@ from rclpy.clock import Clock as RosClock
 from rclpy.clock import ClockType
 from rclpy.time import Time
 from rosgraph_msgs.msg import Clock
-from skinplan_msgs.msg import Status
+from skinplan_msgs.msg import JobStatus, Status
 from skinplan_msgs.srv import InjectFault
 from std_msgs.msg import Header
 
 from skinplan.errors import CellInvalidError
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import Parameter
-from skinplan_nodes.qos import STATE
+from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.replies import RefusedError, replies
 from skinplan_nodes.run import run_node
 from skinplan_nodes.sim_time import SimTime, SlowNodes, TimeFile
@@ -27,6 +27,8 @@ from skinplan_nodes.time_ack import TOPIC
 
 # A tick that comes late makes time go slower, not jump: the mocks take their steps per tick.
 _LATE_TICKS = 3
+# Sub-states of a job in which the cell waits for a computer; without a job there is none.
+_COMPUTING = ("", "starting", "planning", "inspecting", "closing")
 # So long it takes until all nodes have found a clock that was started again, wall time [s].
 _SETTLE_S = 2.5
 _JUMP = "clock_jump"
@@ -44,6 +46,14 @@ class SimClock(CellNode):
             1.0,
             "Times faster than real time, where no node lags behind [1].",
             0.1,
+            50.0,
+        ),
+        Parameter(
+            "computing_factor",
+            0.0,
+            "Time runs no faster than that while nothing moves because the job's plan or result is "
+            "computed, or because there is no job; 0 = as ever [1].",
+            0.0,
             50.0,
         ),
         Parameter("rate_hz", 50.0, "Ticks per second of wall time [Hz].", 1.0, 50.0),
@@ -96,6 +106,7 @@ class SimClock(CellNode):
         if kept_ns is not None:
             # To the nanosecond: seconds are rounded.
             self._time.now_ns = kept_ns
+        self._run_at("")
         self._slow = SlowNodes(values.wait_for, values.lag_max_s, values.wait_max_s)
         self._held = 0
         # When to jump and how far [s].
@@ -103,6 +114,7 @@ class SimClock(CellNode):
         self._wall = RosClock(clock_type=ClockType.STEADY_TIME)
         self._publisher = self.create_publisher(Clock, "/clock", STATE)
         self.create_subscription(Header, TOPIC, self._on_progress, STATE)
+        self.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
         self.create_service(InjectFault, "sim_clock/inject_fault", self._on_fault)
         group = MutuallyExclusiveCallbackGroup()
         self.create_timer(period_s, self._on_tick, callback_group=group, clock=self._wall)
@@ -152,6 +164,14 @@ class SimClock(CellNode):
             self._jumps.remove(jump)
             self._time.jump(round(jump[1] * 1e9))
             self.get_logger().warning(f"the clock jumps ahead by {jump[1]:g} s")
+
+    def _on_status(self, message: JobStatus) -> None:
+        self._run_at(message.sub_state)
+
+    def _run_at(self, sub_state: str) -> None:
+        factor, most = self.values.time_factor, self.values.computing_factor
+        computing = most > 0.0 and sub_state in _COMPUTING
+        self._time.run_at(min(factor, most) if computing else factor)
 
     def _on_progress(self, message: Header) -> None:
         stamp_ns = message.stamp.sec * 10**9 + message.stamp.nanosec

@@ -47,6 +47,10 @@ class SimTime:
         self.now_ns, self.held = allowed_ns, allowed_ns < wanted_ns
         return self.now_ns
 
+    def run_at(self, factor: float) -> None:
+        """Changes how many times faster than wall time it runs from here on."""
+        self._factor = factor
+
     def jump(self, ahead_ns: int) -> None:
         """Jumps ahead.
 

@@ -5,16 +5,17 @@ from contextlib import closing
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from diagnostic_msgs.msg import KeyValue
 from rosgraph_msgs.msg import Clock
-from skinplan_msgs.msg import Status
+from skinplan_msgs.msg import JobStatus, Status
 from skinplan_msgs.srv import InjectFault
 from std_msgs.msg import Header
 
 from nodes.bench import Bench
 from skinplan_nodes.conversions import stamp_from_msg, stamp_to_msg
-from skinplan_nodes.qos import STATE
+from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.sim_clock import SimClock
 from skinplan_nodes.time_ack import TimeAck
 
@@ -113,6 +114,20 @@ def test_time_gives_up_a_node_that_makes_no_progress(bench: Bench) -> None:
     bench.wait(lambda: seconds(ticks)[-1] > reached_s + 3.0)
     assert "node tester" in clock._health[1] and "0.5 s" in clock._health[1]
     assert clock.health_values()["ticks_held_back"] > 0
+
+
+def test_time_is_slower_while_a_plan_is_computed(bench: Bench) -> None:
+    clock, ticks = start(bench, time_factor=20.0, computing_factor=2.0)
+    status = bench.tester.create_publisher(JobStatus, "job_status", LATCHED)
+    for sub_state, factor in (("", 2.0), ("scanning", 20.0), ("planning", 2.0), ("moving", 20.0)):
+        status.publish(JobStatus(job_id="a", sub_state=sub_state))
+        bench.wait(lambda f=factor: clock._time._factor == f)
+        count = len(ticks)
+        bench.wait(lambda n=count: len(ticks) > n + 3)
+        # One tick is 20 ms of wall time; a late one counts for three at most.
+        steps = np.diff(seconds(ticks)[-3:])
+        assert np.all(steps <= 0.06 * factor + 1e-9)
+        assert np.all(steps > 0.0)
 
 
 def test_a_clock_that_is_started_again_goes_on(tmp_path: Path) -> None:
