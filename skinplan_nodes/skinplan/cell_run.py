@@ -101,7 +101,7 @@ class CellRun:
             for event in lines:
                 if event["event"] == "status":
                     progress(float(event["progress"] or 0.0), _status_text(event))
-                elif event["event"] == "node_died":
+                elif event["event"] == "node_died" and not event.get("restarted"):
                     died.append(str(event["node"]))
                 elif event["event"] == "result":
                     last = event

@@ -25,6 +25,7 @@ from skinplan.recording.qos import INFINITE_NS
 from skinplan.recording.qos import QosProfile as RecordedQos
 from skinplan.recording.schema import schema_with_dependencies
 from skinplan_nodes.conversions import raw_stamp_s
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.message_types import definition_text, message_class
 from skinplan_nodes.time_ack import TimeAck
 
@@ -189,8 +190,8 @@ class RecordingSession:
         )
         self._subscriptions[topic] = (
             qos,
-            self._node.create_subscription(
-                kind, topic, self._taker(topic), qos, raw=True, callback_group=self._group
+            subscribe_draining(
+                self._node, kind, topic, self._taker(topic), qos, self._group, raw=True
             ),
         )
 

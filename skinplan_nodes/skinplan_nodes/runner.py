@@ -180,6 +180,8 @@ def graph_environment(environment: dict[str, str]) -> dict[str, str]:
     defaults = dict.fromkeys(_THREADS, "1")
     defaults["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
     defaults["RCUTILS_COLORIZED_OUTPUT"] = "0"
+    # Each thread of DDS would get an arena of its own, and keep what it once used.
+    defaults["MALLOC_ARENA_MAX"] = "2"
     # Safe path: the folder that the runner is started in may hold a folder of a package's name.
     fixed = {"PYTHONUNBUFFERED": "1", "PYTHONSAFEPATH": "1"}
     fixed["ROS_DOMAIN_ID"] = str(domain_of_graph(environment))

@@ -38,6 +38,7 @@ from skinplan_nodes.conversions import (
     scan_frame_from_msg,
     stamp_from_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.frame_tree import Frames
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, load
@@ -118,9 +119,9 @@ class ScanInspector(CellNode):
             (messages.PartPose, "part_pose", self._on_part_pose, LATCHED),
             (TFMessage, "tf", self._on_tf, STATE),
         ):
-            self.create_subscription(kind, topic, handler, qos, callback_group=group)
-        self.create_subscription(
-            JointState, "joint_states", self._on_joint_state, STATE, callback_group=group, raw=True
+            subscribe_draining(self, kind, topic, handler, qos, group)
+        subscribe_draining(
+            self, JointState, "joint_states", self._on_joint_state, STATE, group, raw=True
         )
 
     def _make_services(self) -> None:
