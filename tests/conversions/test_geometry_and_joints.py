@@ -1,8 +1,11 @@
 """Round trips of times, poses and joints; each with its illegal twin."""
 
+import struct
+
 import numpy as np
 import pytest
 from geometry_msgs.msg import Pose, PoseStamped, Quaternion, TransformStamped
+from rclpy.serialization import serialize_message
 from scipy.spatial.transform import Rotation
 from sensor_msgs.msg import JointState
 
@@ -149,3 +152,14 @@ def test_joint_trajectory_refuses_values():
     msg.points[0].positions = [NAN] * 6
     with pytest.raises(JointsInvalidError, match="finite"):
         c.joint_trajectory_from_msg(msg)
+
+
+def test_stamp_of_a_serialised_message():
+    for stamp_s in (0.0, 1.25, 123456.789):
+        message = c.joint_state_to_msg(np.zeros(6), None, stamp_s)
+        data = serialize_message(message)
+        assert c.raw_stamp_s(data) == pytest.approx(stamp_s, abs=1e-9)
+        # The same of a machine with the other order of bytes.
+        sec, nanosec = message.header.stamp.sec, message.header.stamp.nanosec
+        other = b"\0\0\0\0" + struct.pack(">iI", sec, nanosec)
+        assert c.raw_stamp_s(other) == pytest.approx(stamp_s, abs=1e-9)
