@@ -1,9 +1,15 @@
 """Nodes that are killed come back, in a graph of two: the clock and a planner."""
 
+import json
+import os
 import signal
+import subprocess
+import sys
 import threading
-from collections.abc import Iterator
+import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import psutil
 import pytest
@@ -17,10 +23,10 @@ from skinplan_msgs.msg import Heartbeat
 from nodes.small_part import write_small_part
 from skinplan_nodes.conversions import stamp_from_msg
 from skinplan_nodes.qos import STATE
-from system.graph_run import GraphRun
+from system.graph_run import TIMEOUT_S, GraphRun
 from system.test_processes import wait_for
 
-CLOCK, PLANNER = "sim_clock", "scan_path_planner"
+CLOCK, PLANNER, SUPERVISOR = "sim_clock", "scan_path_planner", "cell_supervisor"
 
 
 class Ear:
@@ -136,3 +142,61 @@ def test_a_node_that_dies_again_and_again_ends_the_graph(run: GraphRun) -> None:
     last = run.events[-1]
     assert (last["event"], last["node"], last["restarted"]) == ("node_died", CLOCK, False)
     run.wait_gone()
+
+
+@pytest.mark.long
+def test_the_job_client_goes_on_with_a_supervisor_that_comes_back(tmp_path: Path) -> None:
+    """The job waits for nodes that never come: long enough to kill the supervisor meanwhile."""
+    part = write_small_part(tmp_path)
+    assert part.source is not None
+    nodes = ["--serve", "--only", CLOCK, "--only", SUPERVISOR, "--job-id", "cell"]
+    run = GraphRun(tmp_path / "runs", part.source, *nodes)
+    client = None
+    try:
+        client = Client(run, part.source, tmp_path)
+        client.until(lambda event: event.get("sub_state") == "starting")
+        seen = len(client.events)
+        kill(run, SUPERVISOR)
+        until_back(run, SUPERVISOR, 1)
+        client.until(lambda event: event["event"] == "status", seen)
+        assert client.process.poll() is None
+        client.process.send_signal(signal.SIGINT)
+        assert client.process.wait(60.0) == 1
+        client.until(lambda event: event["event"] == "result", seen)
+        assert client.events[-1]["state"] == "Aborted"
+    finally:
+        if client is not None:
+            client.close()
+        run.close()
+
+
+class Client:
+    """The job client as a program of its own."""
+
+    def __init__(self, run: GraphRun, part_file: Path, folder: Path) -> None:
+        domain = run.until(lambda event: event["event"] == "graph")["ros_domain_id"]
+        command = [sys.executable, "-P", "-m", "skinplan_nodes.measure", "--job-id", "job"]
+        command += ["--part-uri", str(part_file), "--runs-folder", str(folder / "runs")]
+        environment = {**os.environ, "ROS_DOMAIN_ID": str(domain)}
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, env=environment)
+        self.events: list[dict[str, Any]] = []
+        self._reader = threading.Thread(target=self._read)
+        self._reader.start()
+
+    def until(self, condition: Callable[[dict[str, Any]], bool], begin: int = 0) -> None:
+        """Waits for an event."""
+        deadline = time.monotonic() + TIMEOUT_S
+        while not any(condition(event) for event in self.events[begin:]):
+            assert time.monotonic() < deadline, self.events[-3:]
+            time.sleep(0.05)
+
+    def close(self) -> None:
+        """Ends it, whatever happened."""
+        self.process.kill()
+        self.process.wait(20.0)
+        self._reader.join(20.0)
+
+    def _read(self) -> None:
+        assert self.process.stdout is not None
+        for line in self.process.stdout:
+            self.events.append(json.loads(line))
