@@ -49,6 +49,7 @@ class Runner:
     died: list[str] = field(default_factory=list)
     result: dict[str, Any] | None = None
     _manager: GraphManager = field(init=False)
+    _unheard: bool = False
 
     def run(self) -> int:
         """Starts everything, waits for the end, leaves no process.
@@ -141,8 +142,17 @@ class Runner:
 
     def _emit(self, event: dict[str, Any]) -> None:
         text = json.dumps(event) if self.options.json_lines else _sentence(event)
-        sys.stdout.write(text + "\n")
-        sys.stdout.flush()
+        if self._unheard:
+            return
+        try:
+            sys.stdout.write(text + "\n")
+            sys.stdout.flush()
+        except OSError as error:
+            # Who started the run has gone: it ends as at a signal, and leaves nothing.
+            self._unheard = True
+            _log.warning("events can't be told (%s); the run ends", error.strerror or error)
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            signal.raise_signal(signal.SIGTERM)
 
     def _node_command(self, node: NodeSpec, log_folder: Path) -> str:
         arguments = [sys.executable, "-m", node.module, "--ros-args", "--disable-external-lib-logs"]

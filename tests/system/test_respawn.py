@@ -144,6 +144,16 @@ def test_a_node_that_dies_again_and_again_ends_the_graph(run: GraphRun) -> None:
     run.wait_gone()
 
 
+def test_a_run_that_nobody_listens_to_leaves_nothing(run: GraphRun) -> None:
+    run.until(lambda e: e["event"] == "graph")
+    assert run.process.stdout is not None
+    # The reader has this end open: closed below it, as when the listener is killed.
+    os.dup2(os.open(os.devnull, os.O_RDONLY), run.process.stdout.fileno())
+    kill(run, CLOCK)
+    assert run.process.wait(TIMEOUT_S) == 143
+    run.wait_gone()
+
+
 @pytest.mark.long
 def test_the_job_client_goes_on_with_a_supervisor_that_comes_back(tmp_path: Path) -> None:
     """The job waits for nodes that never come: long enough to kill the supervisor meanwhile."""
