@@ -208,6 +208,14 @@ class ResumeRefusedError(InputError):
     """What was kept of a scan belongs to another job or part."""
 
 
+class FaultUnknownError(InputError):
+    """A mock device does not know the fault."""
+
+
+class DeviceRefusedError(SkinplanError):
+    """A device does not take an order in its present state."""
+
+
 class AlignmentError(SkinplanError):
     """The cloud can't be aligned with the part."""
 

@@ -1,5 +1,6 @@
 """Goals that are worked on in steps of time: one at a time, a newer one replaces it."""
 
+from dataclasses import dataclass
 from enum import Enum
 from typing import Any
 
@@ -15,6 +16,19 @@ class GoalEnd(Enum):
     REACHED = "reached"
     CANCELLED = "cancelled"
     REPLACED = "replaced by a newer goal"
+
+
+@dataclass(frozen=True)
+class GoalFailure:
+    """A goal that the device gave up.
+
+    Attributes:
+        code: Code of the action's result.
+        text: Why, in one sentence.
+    """
+
+    code: int
+    text: str
 
 
 class GoalSlot:
@@ -40,20 +54,20 @@ class GoalSlot:
         """Takes a goal; one that is worked on ends as REPLACED.
 
         Returns:
-            Future of the goal's `GoalEnd`.
+            Future of the goal's `GoalEnd` or `GoalFailure`.
         """
         self.finish(GoalEnd.REPLACED)
         self._handle, self._ended = handle, Future(executor=self._node.executor)
         return self._ended
 
-    def finish(self, end: GoalEnd) -> None:
+    def finish(self, end: GoalEnd | GoalFailure) -> None:
         """Ends the goal that is worked on, if there is one."""
         if self._ended is not None:
             ended, self._handle, self._ended = self._ended, None, None
             ended.set_result(end)
 
 
-def conclude(handle: ServerGoalHandle, end: GoalEnd) -> None:
+def conclude(handle: ServerGoalHandle, end: GoalEnd | GoalFailure) -> None:
     """Makes the one terminal call of a goal."""
     if end is GoalEnd.REACHED:
         handle.succeed()

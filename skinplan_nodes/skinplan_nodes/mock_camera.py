@@ -11,7 +11,9 @@ from sensor_msgs.msg import CameraInfo, Image
 
 from skinplan.errors import SkinplanError
 from skinplan.localization.camera import camera_model
+from skinplan.mock.camera import Image as Picture
 from skinplan.mock.camera import MockCamera as CameraModel
+from skinplan.mock.faults import Fault, FaultKind
 from skinplan.transforms import Array, inverse
 from skinplan_nodes.conversions import (
     camera_info_to_msg,
@@ -19,6 +21,7 @@ from skinplan_nodes.conversions import (
     pose_stamped_from_msg,
     stamp_from_msg,
 )
+from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
 from skinplan_nodes.mock_parts import SHOP, part_of
 from skinplan_nodes.node import AUTOSTART, CellLifecycleNode
 from skinplan_nodes.parameters import Parameter
@@ -27,6 +30,13 @@ from skinplan_nodes.qos import IMAGE, LATCHED, STATE
 from skinplan_nodes.run import run_node
 
 FRAME = "camera_color_optical_frame"
+FROZEN, DARK, STALE_STAMPS, NO_IMAGES = "frozen", "dark", "stale_stamps", "no_images"
+_KINDS = (
+    FaultKind(FROZEN),
+    FaultKind(DARK, {"light": (0.01, 0.0, 1.0)}),
+    FaultKind(STALE_STAMPS, {"age": (10.0, 0.0, 3600.0)}),
+    FaultKind(NO_IMAGES),
+)
 
 
 class MockCamera(CellLifecycleNode):
@@ -37,6 +47,7 @@ class MockCamera(CellLifecycleNode):
     PARAMETERS = (
         *SHOP,
         Parameter("rate_hz", 1.0, "Images per second of simulated time [Hz].", 0.1, 30.0),
+        FAULTS,
         AUTOSTART,
     )
 
@@ -54,6 +65,9 @@ class MockCamera(CellLifecycleNode):
         self.create_subscription(
             PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
         )
+        self._last: Picture | None = None
+        self._face = DeviceFace(self, "camera")
+        self._faults = FaultFace(self, _KINDS, self._on_fault, self._on_fault_end)
         self.autostart()
 
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -90,15 +104,40 @@ class MockCamera(CellLifecycleNode):
         self._T_map_workpiece = pose_stamped_from_msg(message, "map", "true pose of the part")
 
     def _on_tick(self) -> None:
+        place = None if self._base is None else self._base[1][:3, 3]
+        self._faults.step(self.now_s(), place)
+        self._face.refresh()
         if self._camera is None or self._base is None or self._T_map_workpiece is None:
             return
         # The stamp is that of the pose which is rendered: on a busy machine the newest one known
         # may be some time old, and an image must not claim to be newer than what it shows.
         stamp_s, T_map_base_link = self._base
+        if self._face.device.refusal:
+            return
         T_map_camera = T_map_base_link @ self._cell.camera.T_base_link_optical
-        image = self._camera.render(inverse(T_map_camera) @ self._T_map_workpiece)
+        image = self._picture(self._camera, inverse(T_map_camera) @ self._T_map_workpiece)
+        stale = self._faults.book.values(STALE_STAMPS)
+        if stale is not None:
+            stamp_s = max(stamp_s - stale["age"], 0.0)
         self._infos.publish(camera_info_to_msg(self._info, FRAME, stamp_s))
         self._images.publish(image_to_msg(image, FRAME, stamp_s))
+
+    def _picture(self, camera: CameraModel, T_camera_workpiece: Array) -> Picture:
+        if self._last is not None and self._faults.book.values(FROZEN) is not None:
+            return self._last
+        dark = self._faults.book.values(DARK)
+        camera.light = 1.0 if dark is None else dark["light"]
+        self._last = camera.render(T_camera_workpiece)
+        return self._last
+
+    def _on_fault(self, fault: Fault) -> None:
+        # Of the others a camera does not know itself.
+        if fault.name == NO_IMAGES:
+            self._face.fail(fault.name, "the camera gives no images")
+
+    def _on_fault_end(self, name: str) -> None:
+        self._face.device.cause_gone(name)
+        self._face.refresh()
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

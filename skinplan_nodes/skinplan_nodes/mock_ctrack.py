@@ -10,11 +10,12 @@ import numpy as np
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Bool
-from std_srvs.srv import SetBool
 
 from skinplan.errors import CellInvalidError, SkinplanError
 from skinplan.mesh.load import load_mesh
-from skinplan.mock.scanner import MockScanner, MockTracker
+from skinplan.mock.faults import Fault, FaultKind
+from skinplan.mock.scanner import MockScanner
+from skinplan.mock.tracker import LineOfSight, MockTracker
 from skinplan.mock.truth import Truth
 from skinplan.robot.arm import ArmModel
 from skinplan.scanner.model import ScannerModel
@@ -27,6 +28,7 @@ from skinplan_nodes.conversions import (
     scan_frame_to_msg,
     stamp_from_msg,
 )
+from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
 from skinplan_nodes.mock_parts import SHOP, part_of
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import Parameter
@@ -39,6 +41,14 @@ _TOLD_S = 1.0
 # The node's clock may lag behind the joint states by so much under load [s].
 _SWITCH_OFF_S = 0.3
 _INTERVALS = 16
+# Faults begin and end also while nothing comes from the arm, cell time [s].
+_LOOK_S = 0.2
+HIDDEN, LOST, DROPS_FRAMES = "hidden", "lost", "drops_frames"
+_KINDS = (FaultKind(HIDDEN), FaultKind(LOST), FaultKind(DROPS_FRAMES, {"share": (0.5, 0.0, 1.0)}))
+_REASONS = {
+    HIDDEN: "something stands between tracker and scanner",
+    LOST: "the tracker has lost its targets",
+}
 
 
 class MockCtrack(CellNode):
@@ -56,6 +66,27 @@ class MockCtrack(CellNode):
             50.0,
         ),
         Parameter("rays", 900, "Rays of a scan frame [1].", 10, 100000),
+        Parameter(
+            "scanner_noise_m", 3e-5, "Standard deviation of points along the ray [m].", 0.0, 0.01
+        ),
+        Parameter(
+            "tracker_noise_m",
+            2e-5,
+            "Standard deviation of the scanner's position, each axis [m].",
+            0.0,
+            0.01,
+        ),
+        Parameter(
+            "tracker_noise_rad",
+            3e-5,
+            "Standard deviation of the scanner's rotation, each axis [rad].",
+            0.0,
+            0.1,
+        ),
+        Parameter(
+            "volumetric_m", 6.4e-5, "Greatest error of a length in the volume [m].", 0.0, 0.01
+        ),
+        FAULTS,
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -67,45 +98,75 @@ class MockCtrack(CellNode):
         )
         self._model = ArmModel.load(cell)
         self._T_base_link_arm_base = cell.T_base_link_arm_base
-        self._T_workpiece_map = inverse(Truth(part, cell, seed).T_map_workpiece)
+        T_map_workpiece = Truth(part, cell, seed).T_map_workpiece
+        self._T_workpiece_map = inverse(T_map_workpiece)
         mesh = load_mesh(part.mesh_path, part.unit)
         self._scanner = MockScanner(
-            mesh, ScannerModel.from_settings(part.scan), seed, self.values.rays
+            mesh,
+            ScannerModel.from_settings(part.scan),
+            seed,
+            self.values.rays,
+            self.values.scanner_noise_m,
         )
         if cell.propose_tracker:
             raise CellInvalidError(
                 "the cell gives no place for the tracker (T_map_tracker is null); to run, the "
                 "place is needed: `skinplan plan` proposes one"
             )
-        figures = cell.tracker
         self._tracker = MockTracker(
             cell.T_map_tracker,
             seed,
-            (figures.range_min_m, figures.range_max_m),
-            figures.cone_rad,
+            self.values.tracker_noise_m,
+            self.values.tracker_noise_rad,
+            self.values.volumetric_m,
         )
+        self._sight = LineOfSight(cell, self._model, mesh, T_map_workpiece)
+        self._random = np.random.default_rng([seed, 0xD20F])
         # Begin and end of scanning on the cell's clock: joint states that still wait when the
         # scanner is switched belong to the time before.
         self._intervals: deque[list[float]] = deque(maxlen=_INTERVALS)
         self._next_s = self._told_s = -math.inf
         self._seen = False
         self._T_map_base_link: Array | None = None
+        self._place: Array | None = None
         self._points = self.create_publisher(PointCloud2, "scanner/points", STATE)
         self._pose = self.create_publisher(PoseStamped, "tracker/scanner_pose", STATE)
         self._visible = self.create_publisher(Bool, "tracker/visible", STATE)
         self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
         self.create_subscription(JointState, "joint_states", self._on_joint_state, STATE)
-        self.create_service(SetBool, "scanner/enable", self._on_enable)
+        self._tracker_face = DeviceFace(self, "tracker")
+        self._scanner_face = DeviceFace(
+            self, "scanner", lambda _: self._switch(False), self._switch
+        )
+        self._scanner_face.device.enabled = False
+        self._faults = FaultFace(self, _KINDS, self._on_fault, self._on_fault_end)
+        self.create_timer(_LOOK_S, self._on_look)
 
-    def _on_enable(self, request: SetBool.Request, response: SetBool.Response) -> SetBool.Response:
-        on = bool(self._intervals) and math.isinf(self._intervals[-1][1])
-        if request.data and not on:
+    def _switch(self, on: bool) -> None:
+        was_on = bool(self._intervals) and math.isinf(self._intervals[-1][1])
+        if on and not was_on:
             self._intervals.append([self.now_s(), math.inf])
-        elif on and not request.data:
+        elif was_on and not on:
             self._intervals[-1][1] = self.now_s() + _SWITCH_OFF_S
-        response.success = True
-        response.message = "scanner on" if request.data else "scanner off"
-        return response
+        self._scanner_face.device.enabled = on
+
+    def _on_fault(self, fault: Fault) -> None:
+        # A scanner that drops frames does not know it.
+        if fault.name in _REASONS:
+            self._tracker_face.fail(fault.name, _REASONS[fault.name])
+
+    def _on_fault_end(self, name: str) -> None:
+        self._tracker_face.device.cause_gone(name)
+        self._tracker_face.refresh()
+
+    def _on_look(self) -> None:
+        self._faults.step(self.now_s(), self._place)
+        self._scanner_face.device.busy = self._is_scanning(self.now_s())
+        self._scanner_face.refresh()
+        self._tracker_face.refresh()
+
+    def _is_scanning(self, stamp_s: float) -> bool:
+        return any(begin <= stamp_s <= end for begin, end in self._intervals)
 
     def _on_base_pose(self, message: PoseStamped) -> None:
         self._T_map_base_link = pose_stamped_from_msg(message, "map", "true pose of the base")
@@ -122,14 +183,16 @@ class MockCtrack(CellNode):
         except SkinplanError as error:
             self.get_logger().warning(str(error))
             return
-        T_arm_base_scanner = self._model.forward_scanner(joints[None, :])[0]
-        self._track(
-            self._T_map_base_link @ self._T_base_link_arm_base @ T_arm_base_scanner, stamp_s
-        )
+        T_map_arm_base = self._T_map_base_link @ self._T_base_link_arm_base
+        T_map_scanner = T_map_arm_base @ self._model.forward_scanner(joints[None, :])[0]
+        self._place = T_map_scanner[:3, 3]
+        self._faults.step(stamp_s, self._place)
+        free = not self._tracker_face.device.refusal
+        seen = free and not self._sight.hindrance(joints, T_map_arm_base)
+        self._track(T_map_scanner, stamp_s, seen)
 
-    def _track(self, T_map_scanner: Array, stamp_s: float) -> None:
-        seen = self._tracker.sees(T_map_scanner)
-        scanning = any(begin <= stamp_s <= end for begin, end in self._intervals)
+    def _track(self, T_map_scanner: Array, stamp_s: float, seen: bool) -> None:
+        scanning = self._is_scanning(stamp_s)
         if scanning or seen != self._seen or stamp_s - self._told_s >= _TOLD_S:
             self._seen, self._told_s = seen, stamp_s
             self._visible.publish(Bool(data=seen))
@@ -137,7 +200,8 @@ class MockCtrack(CellNode):
             return
         T_tracker_scanner = self._tracker.measure(T_map_scanner)
         self._pose.publish(pose_stamped_to_msg(T_tracker_scanner, "tracker", stamp_s))
-        if not scanning:
+        drops = self._faults.book.values(DROPS_FRAMES)
+        if not scanning or (drops is not None and self._random.uniform() < drops["share"]):
             return
         frame = self._scanner.frame(self._T_workpiece_map @ T_map_scanner)
         values = {

@@ -60,6 +60,8 @@ CODES: dict[type[Exception], int] = {
     errors.NoCloudError: Status.NO_CLOUD,
     errors.CloudInvalidError: Status.NO_CLOUD,
     errors.ResumeRefusedError: Status.RESUME_REFUSED,
+    errors.FaultUnknownError: Status.FAULT_UNKNOWN,
+    errors.DeviceRefusedError: Status.DEVICE_REFUSED,
     errors.AlignmentError: Status.ALIGNMENT_FAILED,
     errors.UnknownPartError: Status.UNKNOWN_PART,
     errors.CancelledError: Status.PLANNING_CANCELLED,

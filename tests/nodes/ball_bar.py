@@ -17,6 +17,8 @@ from std_srvs.srv import SetBool
 from nodes.bench import Bench
 from skinplan.inspection.fits import SphereFit, fit_sphere
 from skinplan.inspection.merge import MergedCloud
+from skinplan.mesh.load import load_mesh
+from skinplan.mock.tracker import LineOfSight
 from skinplan.mock.truth import Truth
 from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
@@ -98,6 +100,8 @@ class BallBar:
         self._random = np.random.default_rng([seed, 0xBA77])
         self._arm = ArmModel.load(CELL)
         self.T_map_workpiece = Truth(part, CELL, seed).T_map_workpiece
+        mesh = load_mesh(part.mesh_path, part.unit)
+        self._sight = LineOfSight(CELL, self._arm, mesh, self.T_map_workpiece)
         bench.start(MockCtrack, part_uri=str(part.source), seed=seed, rays=RAYS)
         create = bench.tester.create_publisher
         self._joints = create(JointState, "joint_states", STATE)
@@ -125,8 +129,11 @@ class BallBar:
             q = self._view(np.array([x, 0.0, 0.0]), believed)
             if q is None:
                 continue
+            true_q = q + random.normal(0.0, errors.arm_rad, 6)
+            if self._sight.hindrance(true_q, true @ CELL.T_base_link_arm_base):
+                continue
             number += 1
-            self._frame(q + random.normal(0.0, errors.arm_rad, 6), cloud)
+            self._frame(true_q, cloud)
         return fit_sphere(cloud.points()[0])
 
     def _frame(self, q: Array, cloud: MergedCloud) -> None:
@@ -154,4 +161,4 @@ class BallBar:
         tool = T_arm_base_scanner @ inverse(CELL.T_tool0_scanner)
         q, valid = self._arm.inverse(tool[None])
         found: Any = q[0][valid[0]]
-        return found[0] if len(found) else None
+        return found[random.integers(len(found))] if len(found) else None

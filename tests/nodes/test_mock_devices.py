@@ -22,6 +22,8 @@ from nodes.bench import Bench
 from skinplan.errors import PartInvalidError
 from skinplan.localization.detect import detect_markers
 from skinplan.mesh.load import load_mesh
+from skinplan.mesh.model import SurfaceMesh
+from skinplan.mock.tracker import LineOfSight
 from skinplan.mock.truth import Truth
 from skinplan.part.files import load_part
 from skinplan.part.samples import write_sample
@@ -175,11 +177,15 @@ def test_arm_follows_in_time_with_evenly_stamped_states(bench: Bench) -> None:
     response = bench.result(result, turning=True)
     assert response.status == GoalStatus.STATUS_SUCCEEDED
     assert response.result.error_code == FollowJointTrajectory.Result.SUCCESSFUL
-    bench.wait(lambda: np.allclose(joint_state_from_msg(states[-1])[0], goal), turning=True)
+    beside = 3e-5  # repeatability of the scanner; its lever arms are longer than a tenth of a metre
+    bench.wait(
+        lambda: np.allclose(joint_state_from_msg(states[-1])[0], goal, atol=10.0 * beside),
+        turning=True,
+    )
     stamps = np.array([stamp_from_msg(state.header.stamp) for state in states])
-    np.testing.assert_allclose(np.diff(stamps), 0.02, atol=1e-6)
+    np.testing.assert_allclose(np.diff(stamps), 0.008, atol=1e-6)
     speeds = np.array([joint_state_from_msg(state)[1] for state in states])
-    assert np.abs(speeds).max() == pytest.approx(0.1)
+    assert np.abs(speeds).max() == pytest.approx(0.1, rel=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -238,7 +244,8 @@ def test_scan_frames_lie_on_the_true_surface(bench: Bench, part_uri: str) -> Non
     bench.wait(lambda: base.get_subscription_count() and arm.get_subscription_count())
     bench.wait(enable.service_is_ready)
     T_map_workpiece = Truth(part, cell, 1).T_map_workpiece
-    T_map_base, joints = place_in_view(cell, T_map_workpiece)
+    mesh = load_mesh(part.mesh_path, part.unit)
+    T_map_base, joints = place_in_view(cell, T_map_workpiece, mesh)
     base.publish(pose_stamped_to_msg(T_map_base, "map"))
     arm.publish(joint_state_to_msg(joints, stamp_s=1.0))
     assert not frames, "the scanner is off"
@@ -252,7 +259,6 @@ def test_scan_frames_lie_on_the_true_surface(bench: Bench, part_uri: str) -> Non
     bench.wait(scanned)
     frame = scan_frame_from_msg(next(frame for frame in frames if frame.width))
     points = apply(inverse(T_map_workpiece) @ cell.T_map_tracker, frame.points)
-    mesh = load_mesh(part.mesh_path, part.unit)
     starts = points + np.array([0.0, 0.0, 0.3])
     distance, _ = RayCaster(mesh).hits(starts, np.tile([0.0, 0.0, -1.0], (len(points), 1)))
     near = np.abs(distance - 0.3)
@@ -260,17 +266,22 @@ def test_scan_frames_lie_on_the_true_surface(bench: Bench, part_uri: str) -> Non
     assert set(frame.values) == {"intensity", "incidence"}
 
 
-def place_in_view(cell: CellConfig, T_map_workpiece: Array) -> tuple[Array, Array]:
-    """Returns base pose and joints for a look at the part's middle from 0.3 m."""
+def place_in_view(
+    cell: CellConfig, T_map_workpiece: Array, mesh: SurfaceMesh
+) -> tuple[Array, Array]:
+    """Returns base pose and joints for a look at the part's middle from 0.3 m, as tracker sees."""
     model = ArmModel.load(cell)
     height = T_map_workpiece[2, 3] - cell.T_base_link_arm_base[2, 3]
     # View axis to the left, scanner y up.
     turn = Rotation.from_matrix([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     T_arm_base_scanner = transform((0.0, 0.45, height), turn.as_matrix())
     branches, valid = model.inverse((T_arm_base_scanner @ inverse(cell.T_tool0_scanner))[None])
-    joints = branches[0][np.flatnonzero(valid[0])[0]]
     middle = T_map_workpiece[:3, 3]
-    return planar(middle[0], middle[1] - 0.45 - 0.3, 0.0), joints
+    T_map_base = planar(middle[0], middle[1] - 0.45 - 0.3, 0.0)
+    sight = LineOfSight(cell, model, mesh, T_map_workpiece)
+    arm_base = T_map_base @ cell.T_base_link_arm_base
+    seen = [q for q in branches[0][valid[0]] if not sight.hindrance(q, arm_base)]
+    return T_map_base, seen[0]
 
 
 def test_camera_renders_the_markers_of_the_fixture(bench: Bench, part_uri: str) -> None:

@@ -53,12 +53,14 @@ def test_the_past_is_remembered():
     np.testing.assert_allclose(robot.state(11.25)[0], HOME + 0.75)
 
 
-def test_stop_holds_where_it_is():
+def test_stop_brakes_along_the_path_and_holds():
     robot = arm()
     robot.accept(NAMES, [0.0, 1.0], [HOME, HOME + 1.0], 10.0)
     robot.stop(10.4)
-    assert robot.done(10.4)
-    np.testing.assert_allclose(robot.state(20.0)[0], HOME + 0.4)
+    assert not robot.done(10.59)
+    np.testing.assert_allclose(robot.state(10.5)[1], 0.5)
+    assert robot.done(10.6 + 1e-9)
+    np.testing.assert_allclose(robot.state(20.0)[0], HOME + 0.4 + 1.0**2 / (2.0 * 5.0))
     np.testing.assert_array_equal(robot.state(20.0)[1], 0.0)
     np.testing.assert_allclose(robot.state(10.2)[0], HOME + 0.2)
 

@@ -6,9 +6,9 @@ from scipy.spatial.transform import Rotation
 
 from skinplan.errors import InputError
 from skinplan.mesh.model import SurfaceMesh
-from skinplan.mock.scanner import MockScanner, MockTracker
+from skinplan.mock.scanner import MockScanner
 from skinplan.scanner.model import ScannerModel
-from skinplan.transforms import apply, difference, inverse, transform
+from skinplan.transforms import apply, transform
 
 MODEL = ScannerModel(0.2, 0.2, 0.4, 0.3, np.pi / 3)
 # Looks along -z of the workpiece.
@@ -92,32 +92,3 @@ def test_bad_input_is_refused():
         scanner().frame(np.full((4, 4), np.nan))
     with pytest.raises(InputError, match="at least 1"):
         scanner(rays=0)
-
-
-TRACKER = transform((1.0, 2.0, 3.0), Rotation.from_euler("z", 0.7).as_matrix())
-
-
-def test_tracker_sees_range_and_cone():
-    tracker = MockTracker(TRACKER, seed=1, range_m=(1.0, 5.0), cone_rad=0.5)
-    for place, seen in [
-        ((2.0, 0.0, 0.0), True),
-        ((0.9, 0.0, 0.0), False),
-        ((5.1, 0.0, 0.0), False),
-        ((-2.0, 0.0, 0.0), False),
-        ((2.0, 2.0 * np.tan(0.49), 0.0), True),
-        ((2.0, 0.0, 2.0 * np.tan(0.51)), False),
-    ]:
-        assert tracker.sees(TRACKER @ transform(place)) == seen, place
-
-
-def test_tracker_measures_with_noise():
-    tracker = MockTracker(TRACKER, seed=1)
-    pose = TRACKER @ transform((2.0, 0.3, 0.1), Rotation.from_euler("x", 0.4).as_matrix())
-    exact = inverse(TRACKER) @ pose
-    errors = np.array([difference(exact, tracker.measure(pose)) for _ in range(400)])
-    # Root mean square of three axes.
-    np.testing.assert_allclose(
-        np.sqrt(np.mean(errors**2, axis=0)), np.sqrt(3) * np.array([2e-5, 3e-5]), rtol=0.15
-    )
-    with pytest.raises(InputError):
-        tracker.measure(np.eye(3))

@@ -4,57 +4,72 @@ import logging
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
+from enum import Enum
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from skinplan.errors import InputError, JointsInvalidError, StartStateError
+from skinplan.errors import InputError, JointsInvalidError
+from skinplan.mock.arm_limits import ArmLimits
+from skinplan.mock.arm_motion import ArmMotion
 from skinplan.transforms import Array
 
 log = logging.getLogger(__name__)
 
 # Finished motions that are kept, so that a state of some seconds ago can still be asked for.
 _HISTORY = 8
-# The velocity limit is checked on the straight pieces between points that planners sampled.
-_VELOCITY_SLACK = 1.05
-_POSITION_SLACK_RAD = 1e-6
+_DECELERATION_RAD_S2 = 5.0
+
+
+class Ending(Enum):
+    """How a trajectory ends."""
+
+    REACHED = "reached"
+    PATH_VIOLATED = "path tolerance violated"
+    GOAL_VIOLATED = "goal tolerance violated"
 
 
 @dataclass(frozen=True, eq=False)
-class _Motion:
-    """Points in time, (n,) [s] from the start and (n, j) [rad]; before and after the arm stands."""
+class Tolerances:
+    """How far the arm may be from where it should be; inf = no limit.
 
-    start_s: float
-    times: Array
-    positions: Array
+    Attributes:
+        path: While it moves, shape (j,) [rad].
+        path_velocity: While it moves, shape (j,) [rad/s].
+        goal: At the end, shape (j,) [rad].
+        goal_velocity: At the end, shape (j,) [rad/s].
+        goal_time_s: So much later than planned may it get there [s].
+    """
 
-    @property
-    def end_s(self) -> float:
-        return self.start_s + float(self.times[-1])
+    path: Array
+    path_velocity: Array
+    goal: Array
+    goal_velocity: Array
+    goal_time_s: float
 
-    def at(self, now_s: float) -> tuple[Array, Array]:
-        elapsed = now_s - self.start_s
-        if elapsed <= self.times[0] or len(self.times) == 1:
-            return self.positions[0].copy(), np.zeros(self.positions.shape[1])
-        if elapsed >= self.times[-1]:
-            return self.positions[-1].copy(), np.zeros(self.positions.shape[1])
-        after = int(np.searchsorted(self.times, elapsed, side="right"))
-        step = self.times[after] - self.times[after - 1]
-        velocity = (self.positions[after] - self.positions[after - 1]) / step
-        return self.positions[after - 1] + (elapsed - self.times[after - 1]) * velocity, velocity
+    @classmethod
+    def same(
+        cls, joints: int, path: float = 0.2, goal: float = 0.1, goal_time_s: float = 0.6
+    ) -> "Tolerances":
+        """The same for all joints; velocities without limit."""
+        none = np.full(joints, np.inf)
+        return cls(np.full(joints, path), none, np.full(joints, goal), none, goal_time_s)
 
 
 class MockArm:
-    """Straight joint motion between the points of a trajectory, exactly on time.
+    """Joint motion along a trajectory in time; every state is a closed form of the time.
 
     Args:
         joint_names: Names of the joints, j of them.
         lower: Lower position limits, shape (j,) [rad].
         upper: Upper position limits, shape (j,) [rad].
-        velocity_max_rad_s: Velocity limit of every joint [rad/s].
+        velocity_max_rad_s: Velocity limit of every joint, or one for all [rad/s].
         home: Positions at the start, shape (j,) [rad].
         start_tolerance_rad: So far may the first point of a trajectory be from where the arm stands
             [rad].
+        repeatability_rad: A motion ends at most so far beside its goal, shape (j,) [rad].
+        deceleration_rad_s2: Of a stop, the fastest joint [rad/s^2].
+        seed: Of where motions end.
     """
 
     def __init__(
@@ -62,29 +77,38 @@ class MockArm:
         joint_names: Sequence[str],
         lower: ArrayLike,
         upper: ArrayLike,
-        velocity_max_rad_s: float,
+        velocity_max_rad_s: ArrayLike,
         home: ArrayLike,
         start_tolerance_rad: float = 0.02,
+        repeatability_rad: ArrayLike = 0.0,
+        deceleration_rad_s2: float = _DECELERATION_RAD_S2,
+        seed: int = 0,
     ) -> None:
-        self.joint_names = tuple(joint_names)
-        self._lower = np.asarray(lower, dtype=float)
-        self._upper = np.asarray(upper, dtype=float)
-        self._velocity_max = float(velocity_max_rad_s)
-        self._tolerance = float(start_tolerance_rad)
+        self._limits = ArmLimits(joint_names, lower, upper, velocity_max_rad_s, start_tolerance_rad)
+        self.joint_names = self._limits.joint_names
         start = np.asarray(home, dtype=float)
         count = len(self.joint_names)
-        if not self._lower.shape == self._upper.shape == start.shape == (count,):
+        if start.shape != (count,):
             raise JointsInvalidError(
-                f"an arm of {count} joints takes as many limits and home positions, found "
-                f"{self._lower.shape}, {self._upper.shape} and {start.shape}"
+                f"an arm of {count} joints takes as many home positions, found {start.shape}"
             )
-        self._require_limits(start[None, :], self._lower, self._upper)
-        self._motions: deque[_Motion] = deque(
-            [_Motion(0.0, np.zeros(1), start[None, :])], maxlen=_HISTORY
-        )
+        self._limits.require_positions(start[None, :])
+        self._repeatability = np.broadcast_to(np.asarray(repeatability_rad, dtype=float), (count,))
+        self._deceleration = float(deceleration_rad_s2)
+        self._random = np.random.default_rng([seed, 0xA53])
+        self._rate = 1.0
+        self._stuck = False
+        self._tolerances = Tolerances.same(count)
+        self._motions: deque[ArmMotion] = deque([ArmMotion.hold(0.0, start)], maxlen=_HISTORY)
 
     def accept(
-        self, joint_names: Sequence[str], times: ArrayLike, positions: ArrayLike, now_s: float
+        self,
+        joint_names: Sequence[str],
+        times: ArrayLike,
+        positions: ArrayLike,
+        now_s: float,
+        velocities: ArrayLike | None = None,
+        tolerances: Tolerances | None = None,
     ) -> None:
         """Takes a trajectory and starts it; a motion that is going on is replaced.
 
@@ -93,6 +117,8 @@ class MockArm:
             times: From the start of the trajectory, rising, >= 0, shape (n,) [s].
             positions: shape (n, j) [rad].
             now_s: Time of the start [s].
+            velocities: shape (n, j) [rad/s]; None = straight between the points.
+            tolerances: In the arm's order of joints; None = the default ones.
 
         Raises:
             JointsInvalidError: Other joints than the arm's, or positions or velocities beyond the
@@ -101,17 +127,24 @@ class MockArm:
                 not rise.
             StartStateError: The first point is due at once and too far from where the arm is.
         """
-        order = self._order(joint_names)
-        when, where = self._points(times, positions)
-        where = where[:, order]
-        self._require_limits(where, self._lower, self._upper)
+        order = self._limits.order(joint_names)
+        when, where, speeds = self._limits.points(times, positions, velocities)
+        where, speeds = where[:, order], None if speeds is None else speeds[:, order]
+        self._limits.require_positions(where)
         here = self.state(now_s)[0]
         if when[0] > 0.0:
             when, where = np.concatenate([[0.0], when]), np.vstack([here, where])
-        self._require_start(here, where[0])
-        self._require_velocity(when, where)
+            speeds = None if speeds is None else np.vstack([np.zeros(len(here)), speeds])
+        self._limits.require_start(here, where[0])
+        motion = ArmMotion(float(now_s), when, where, speeds, self._offset(where[-1]), self._rate)
+        self._limits.require_speeds(motion.speeds)
         where[0] = here  # within the tolerance: the arm does not jump
-        self._motions.append(_Motion(float(now_s), when, where))
+        if self._stuck:
+            motion.actual = motion.actual.copy()
+            motion.actual.change(now_s, 0.0, 0.0)
+        self._motions.append(motion)
+        count = len(self.joint_names)
+        self._tolerances = Tolerances.same(count) if tolerances is None else tolerances
         log.debug("arm: %d points in %.2f s", len(when), when[-1])
 
     def state(self, now_s: float) -> tuple[Array, Array]:
@@ -120,84 +153,110 @@ class MockArm:
         Returns:
             Positions [rad] and velocities [rad/s], shape (j,) each.
         """
-        for motion in reversed(self._motions):
-            if motion.start_s <= now_s:
-                return motion.at(now_s)
-        return self._motions[0].at(now_s)
+        positions, velocities = self.states(np.array([now_s]))
+        return positions[0], velocities[0]
 
-    def stop(self, now_s: float) -> None:
-        """Holds the arm where it is; what was left of the trajectory is forgotten."""
+    def states(self, times: Array) -> tuple[Array, Array]:
+        """Returns the states at many times, (n,) [s]: (n, j) [rad] and (n, j) [rad/s]."""
+        starts = np.array([motion.start_s for motion in self._motions])
+        number = np.clip(np.searchsorted(starts, times, "right") - 1, 0, None)
+        positions = np.empty((len(times), len(self.joint_names)))
+        velocities = np.empty_like(positions)
+        for each in np.unique(number):
+            here = number == each
+            positions[here], velocities[here] = self._motions[int(each)].at(times[here])
+        return positions, velocities
+
+    def desired(self, now_s: float) -> tuple[Array, Array]:
+        """Returns where the controller believes the arm to be, (j,) [rad] and [rad/s]."""
+        positions, velocities = self._motions[-1].desired(np.array([now_s]))
+        return positions[0], velocities[0]
+
+    def ending(self, now_s: float) -> tuple[Ending, str] | None:
+        """Returns how the trajectory ends, with one sentence; None = it goes on."""
+        motion, limits = self._motions[-1], self._tolerances
+        where, speed = self.state(now_s)
+        wanted, wanted_speed = self.desired(now_s)
+        progress, rate = motion.commanded.at(now_s)
+        if progress < motion.length_s:
+            late = self._beyond(where - wanted, limits.path, "rad")
+            late = late or self._beyond(speed - wanted_speed, limits.path_velocity, "rad/s")
+            return (Ending.PATH_VIOLATED, late) if late else None
+        late = self._beyond(where - wanted, limits.goal, "rad")
+        late = late or self._beyond(speed - wanted_speed, limits.goal_velocity, "rad/s")
+        if not late:
+            return Ending.REACHED, ""
+        if progress > motion.length_s + limits.goal_time_s:
+            return Ending.GOAL_VIOLATED, f"{late}, {progress - motion.length_s:.2f} s late"
+        return None
+
+    def set_speed(self, rate: float, now_s: float) -> None:
+        """Scales the speed of this and all later motions; 1 = as planned, 0 = stands.
+
+        Raises:
+            InputError: Not within 0 to 1.
+        """
+        if not 0.0 <= rate <= 1.0:
+            raise InputError(f"a speed scaling from 0 to 1 is accepted, found {rate}")
+        self._rate = float(rate)
+        motion = self._motions[-1]
         if self.done(now_s):
             return
-        self._motions.append(_Motion(float(now_s), np.zeros(1), self.state(now_s)[0][None, :]))
+        ramp_s = motion.ramp_s(motion.commanded, now_s, rate, self._deceleration)
+        follows = motion.actual is motion.commanded
+        motion.commanded.change(now_s, rate, ramp_s)
+        if not follows and not self._stuck:
+            motion.actual = motion.commanded
+
+    @property
+    def speed(self) -> float:
+        """Speed scaling, 0 to 1."""
+        return self._rate
+
+    def stick(self, now_s: float) -> None:
+        """The arm stands, while the controller believes that it follows."""
+        self._stuck = True
+        motion = self._motions[-1]
+        if not self.done(now_s):
+            motion.actual = motion.actual.copy()
+            ramp_s = motion.ramp_s(motion.actual, now_s, 0.0, self._deceleration)
+            motion.actual.change(now_s, 0.0, ramp_s)
+
+    def release(self) -> None:
+        """Ends `stick`: the next trajectory is followed."""
+        self._stuck = False
+
+    def stop(self, now_s: float) -> None:
+        """Brakes along the path, bounded; what is left of the trajectory is forgotten."""
+        motion = self._motions[-1]
+        if self.done(now_s):
+            return
+        ramp_s = motion.ramp_s(motion.actual, now_s, 0.0, self._deceleration)
+        motion.actual.change(now_s, 0.0, ramp_s)
+        motion.commanded, motion.stopped = motion.actual, True
 
     def done(self, now_s: float) -> bool:
-        """Returns whether the last trajectory has ended."""
-        return now_s >= self._motions[-1].end_s
+        """Returns whether the arm stands: the trajectory has ended, or was stopped."""
+        return now_s >= self._motions[-1].done_s()
+
+    def moving(self, now_s: float) -> bool:
+        """Returns whether the arm moves at a time."""
+        return bool(np.any(self.state(now_s)[1] != 0.0))
 
     def remaining_s(self, now_s: float) -> float:
-        """Returns the time until the last trajectory ends [s]."""
-        return max(0.0, self._motions[-1].end_s - now_s)
+        """Returns the time until the arm stands [s]; inf = its speed is scaled to 0."""
+        return max(0.0, self._motions[-1].done_s() - now_s)
 
-    def _order(self, joint_names: Sequence[str]) -> list[int]:
-        names = list(joint_names)
-        if sorted(names) != sorted(self.joint_names):
-            raise JointsInvalidError(
-                f"a trajectory of joints {names} was asked, the arm has "
-                f"{list(self.joint_names)}; each of them once is accepted"
-            )
-        return [names.index(name) for name in self.joint_names]
+    def _offset(self, end: Array) -> Array:
+        drawn = self._repeatability * self._random.uniform(-1.0, 1.0, len(end))
+        return np.clip(end + drawn, self._limits.lower, self._limits.upper) - end
 
-    def _points(self, times: ArrayLike, positions: ArrayLike) -> tuple[Array, Array]:
-        try:
-            when, where = np.asarray(times, dtype=float), np.asarray(positions, dtype=float)
-        except (TypeError, ValueError):
-            raise InputError(
-                "a trajectory with points of different lengths was asked; equal ones are accepted"
-            ) from None
-        if when.ndim != 1 or len(when) == 0 or where.shape != (len(when), len(self.joint_names)):
-            raise InputError(
-                f"a trajectory takes n >= 1 times and (n, {len(self.joint_names)}) positions, "
-                f"found {when.shape} and {where.shape}"
-            )
-        if not (np.all(np.isfinite(when)) and np.all(np.isfinite(where))):
-            raise InputError(
-                "a trajectory with values that are not finite was asked; finite ones are accepted"
-            )
-        if when[0] < 0.0 or np.any(np.diff(when) <= 0.0):
-            at = int(np.argmax(np.diff(when, prepend=-1e-12) <= 0.0))
-            raise InputError(
-                f"times that rise from 0 or later are accepted, found {when[at]} s at point {at} "
-                f"of a trajectory, after {when[at - 1] if at else 0.0} s"
-            )
-        return when, where
-
-    def _require_limits(self, positions: Array, lower: Array, upper: Array) -> None:
-        bad = (positions < lower - _POSITION_SLACK_RAD) | (positions > upper + _POSITION_SLACK_RAD)
-        if np.any(bad):
-            point, joint = np.argwhere(bad)[0]
-            raise JointsInvalidError(
-                f"{self.joint_names[joint]} at {positions[point, joint]:.4f} rad was asked at "
-                f"point {point}; [{lower[joint]:.4f}, {upper[joint]:.4f}] is accepted"
-            )
-
-    def _require_start(self, here: Array, first: Array) -> None:
-        away = np.abs(first - here)
-        joint = int(np.argmax(away))
-        if away[joint] > self._tolerance:
-            raise StartStateError(
-                f"the trajectory starts with {self.joint_names[joint]} at {first[joint]:.4f} rad, "
-                f"the arm stands at {here[joint]:.4f}; at most {self._tolerance} rad away is "
-                f"accepted"
-            )
-
-    def _require_velocity(self, times: Array, positions: Array) -> None:
-        if len(times) < 2:
-            return
-        speed = np.abs(np.diff(positions, axis=0)) / np.diff(times)[:, None]
-        if speed.max() > _VELOCITY_SLACK * self._velocity_max:
-            point, joint = np.unravel_index(int(speed.argmax()), speed.shape)
-            raise JointsInvalidError(
-                f"{self.joint_names[joint]} with {speed[point, joint]:.3f} rad/s was asked after "
-                f"point {point}; at most {self._velocity_max:.3f} rad/s is accepted"
-            )
+    def _beyond(self, error: Array, limit: Array, unit: str) -> str:
+        excess = np.abs(error) - limit
+        joint = int(np.argmax(excess))
+        if excess[joint] <= 0.0:
+            return ""
+        return (
+            f"{self.joint_names[joint]} is {abs(error[joint]):.4f} {unit} from where it should be; "
+            f"at most {limit[joint]:g} {unit} is accepted"
+        )

@@ -24,19 +24,29 @@ class BaseConfig:
     """How the base drives; its speed and its stopping error are in `CellConfig`.
 
     Attributes:
+        speed_max_m_s: The cell's speed counts up to this one [m/s].
         acceleration_m_s2: Of driving [m/s^2].
+        stop_deceleration_m_s2: Of a stop [m/s^2].
+        stop_turn_deceleration_rad_s2: Of a stop while turning [rad/s^2].
         turn_speed_rad_s: Greatest speed of turning on the spot [rad/s].
         turn_acceleration_rad_s2: Of turning [rad/s^2].
         goal_distance_max_m: Goals farther away are refused [m].
         slip_probability: Share of the drives in which the wheels slip [1]: the base covers only a
             part of the way, and goes on as if it had covered all of it.
+        jump_probability: Share of the drives in which the localisation jumps [1].
+        jump_max_m: Longest such jump [m].
     """
 
+    speed_max_m_s: float = 1.5
     acceleration_m_s2: float = 0.5
+    stop_deceleration_m_s2: float = 1.5
+    stop_turn_deceleration_rad_s2: float = 3.0
     turn_speed_rad_s: float = 1.0
     turn_acceleration_rad_s2: float = 1.0
     goal_distance_max_m: float = 50.0
     slip_probability: float = 0.0
+    jump_probability: float = 0.0
+    jump_max_m: float = 0.1
 
 
 @dataclass(frozen=True)
@@ -66,7 +76,8 @@ class MockBase:
     The base believes that it reaches its goal. In truth it stands beside it: `true` is `believed`
     composed with an error that is drawn at every stop, uniform over a disc of radius
     ``base_error_m`` and over +-``base_error_rad``. While driving, the error passes smoothly from
-    the old to the new one.
+    the old to the new one. Where its localisation jumps, the base brakes and drives to the goal
+    anew; it never changes its speed at once.
 
     Args:
         config: How it drives.
@@ -91,11 +102,21 @@ class MockBase:
         self._error_to = self._error_from
         # What slips have cost so far, along the map's axes; odometry never notices.
         self._slip_from = self._slip_to = np.zeros(2)
+        #: Where its localisation puts the origin of the odometry, shape (4, 4) [m].
+        self.T_map_odom: Array = np.eye(4)
+        self._goal: tuple[float, float, float] | None = None
+        # When the localisation jumps in this drive, and how far [s], [m].
+        self._jump: tuple[float, float] | None = None
 
     @property
     def believed(self) -> Array:
-        """What odometry and tf say: ``T_map_base_link``, shape (4, 4) [m]."""
+        """Where it believes to be: ``T_map_base_link``, shape (4, 4) [m]."""
         return planar(*self._state()[0])
+
+    @property
+    def odometry(self) -> Array:
+        """What the wheels say: ``T_odom_base_link``, shape (4, 4) [m]; it never jumps."""
+        return inverse(self.T_map_odom) @ self.believed
 
     @property
     def true(self) -> Array:
@@ -103,11 +124,7 @@ class MockBase:
         elapsed, duration = self._now_s - self._started_s, self._duration
         share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
         slip = self._slip_from + share * (self._slip_to - self._slip_from)
-        return (
-            planar(slip[0], slip[1], 0.0)
-            @ self.believed
-            @ planar(*(self._error_from + share * (self._error_to - self._error_from)))
-        )
+        return planar(slip[0], slip[1], 0.0) @ self.believed @ planar(*self._error)
 
     @property
     def speed(self) -> float:
@@ -148,10 +165,14 @@ class MockBase:
         """
         if not np.isfinite(now_s):
             raise InputError(f"the base was stepped to {now_s} s; a finite time is accepted")
+        if self._jump is not None and self._jump[0] <= now_s:
+            (at_s, length_m), self._jump = self._jump, None
+            self._now_s = max(self._now_s, at_s)
+            self.jump(length_m)
         self._now_s = max(self._now_s, float(now_s))
 
     def goal(self, T_map_base_link: Array, now_s: float | None = None) -> None:
-        """Starts to drive to a pose; a goal in the middle of a motion replaces it at once.
+        """Starts to drive to a pose; in the middle of a motion it brakes first.
 
         Args:
             T_map_base_link: Goal on the floor, shape (4, 4) [m].
@@ -170,7 +191,9 @@ class MockBase:
                 f"goal of the base: at most {self._config.goal_distance_max_m} m away is accepted, "
                 f"found {distance:.1f} m"
             )
-        self._begin(self._plan(here, target), target)
+        self._goal = target
+        self._drive(target)
+        self._draw_jump()
 
     def cancel(self, now_s: float | None = None) -> None:
         """Brakes to rest on the present line; without a motion nothing happens.
@@ -178,20 +201,102 @@ class MockBase:
         Args:
             now_s: Time [s]; None = time of the last `step`.
         """
+        self._brake(now_s, self._config.acceleration_m_s2, self._config.turn_acceleration_rad_s2)
+
+    def stop(self, now_s: float | None = None) -> None:
+        """Brakes to rest as hard as it can.
+
+        Args:
+            now_s: Time [s]; None = time of the last `step`.
+        """
+        self._brake(
+            now_s, self._config.stop_deceleration_m_s2, self._config.stop_turn_deceleration_rad_s2
+        )
+
+    def jump(self, length_m: float) -> None:
+        """The localisation jumps: it believes to be elsewhere, and drives to its goal from there.
+
+        Args:
+            length_m: How far, in a direction that is drawn [m].
+        """
+        bearing = self._random.uniform(-np.pi, np.pi)
+        believed, odometry, error = self.believed, self.odometry, self._error
+        moved = believed @ planar(length_m * np.cos(bearing), length_m * np.sin(bearing), 0.0)
+        self.T_map_odom = moved @ inverse(odometry)
+        # The base itself has not moved: what it believes wrongly is more than before.
+        error = _flat(inverse(moved) @ believed @ planar(*error))
+        pose, legs = _flat(moved), []
+        _, speed, rate = self._state()
+        going = self._goal if self.moving else None
+        if self.moving:
+            legs = self._braking(
+                (pose[0], pose[1], pose[2]),
+                speed,
+                rate,
+                self._config.acceleration_m_s2,
+                self._config.turn_acceleration_rad_s2,
+            )
+        here = legs[-1].at(legs[-1].profile.duration)[0] if legs else (pose[0], pose[1], pose[2])
+        if going is not None:
+            legs, here = legs + self._plan(here, going), going
+        self._begin(legs, here)
+        self._error_from = error
+        if not legs:
+            self._error_to = error
+
+    def _drive(self, target: tuple[float, float, float]) -> None:
+        pose, speed, rate = self._state()
+        legs = self._braking(
+            pose,
+            speed,
+            rate,
+            self._config.acceleration_m_s2,
+            self._config.turn_acceleration_rad_s2,
+        )
+        here = legs[-1].at(legs[-1].profile.duration)[0] if legs else pose
+        self._begin(legs + self._plan(here, target), target)
+
+    def _brake(self, now_s: float | None, driving: float, turning: float) -> None:
         if now_s is not None:
             self.step(now_s)
+        self._goal = self._jump = None
         if not self.moving:
             return
-        pose, speed, rate = self._state()
+        legs = self._braking(*self._state(), driving, turning)
+        here = legs[-1].at(legs[-1].profile.duration)[0] if legs else self._state()[0]
+        self._begin(legs, here)
+
+    def _braking(
+        self,
+        pose: tuple[float, float, float],
+        speed: float,
+        rate: float,
+        driving: float,
+        turning: float,
+    ) -> list[_Leg]:
         if speed != 0.0:
-            leg = _Leg(
-                pose, np.sign(speed), 0.0, Braking(abs(speed), self._config.acceleration_m_s2)
+            return [_Leg(pose, float(np.sign(speed)), 0.0, Braking(abs(speed), driving))]
+        if rate != 0.0:
+            return [_Leg(pose, 0.0, float(np.sign(rate)), Braking(abs(rate), turning))]
+        return []
+
+    @property
+    def _error(self) -> Array:
+        """How it stands beside where it believes to stand: x, y [m] and heading [rad]."""
+        elapsed, duration = self._now_s - self._started_s, self._duration
+        share = 1.0 if duration == 0.0 else float(np.clip(elapsed / duration, 0.0, 1.0))
+        return np.asarray(self._error_from + share * (self._error_to - self._error_from))
+
+    def _draw_jump(self) -> None:
+        self._jump = None
+        if self._config.jump_probability <= 0.0 or not self.moving:
+            return
+        share, jumps, length = self._random.uniform(size=3)
+        if jumps < self._config.jump_probability:
+            self._jump = (
+                self._now_s + share * self._duration,
+                length * self._config.jump_max_m,
             )
-        else:
-            leg = _Leg(
-                pose, 0.0, np.sign(rate), Braking(abs(rate), self._config.turn_acceleration_rad_s2)
-            )
-        self._begin([leg], leg.at(leg.profile.duration)[0])
 
     def _begin(self, legs: list[_Leg], rest: tuple[float, float, float]) -> None:
         elapsed, duration = self._now_s - self._started_s, self._duration
@@ -218,7 +323,8 @@ class MockBase:
             ways.append((round(abs(first) + abs(last), 6), -sign, first, last))
         _, sign, first, last = min(ways)
         legs = self._turning((x, y, angle), first)
-        drive = Profile(distance, self._cell.base_speed_m_s, self._config.acceleration_m_s2)
+        speed = min(self._cell.base_speed_m_s, self._config.speed_max_m_s)
+        drive = Profile(distance, speed, self._config.acceleration_m_s2)
         legs.append(_Leg((x, y, angle + first), -sign, 0.0, drive))
         return legs + self._turning((target[0], target[1], angle + first), last)
 
@@ -258,6 +364,11 @@ class MockBase:
         bearing = self._random.uniform(-np.pi, np.pi)
         turn = self._random.uniform(-1.0, 1.0) * self._cell.base_error_rad
         return np.array([radius * np.cos(bearing), radius * np.sin(bearing), turn])
+
+
+def _flat(T_a_b: Array) -> Array:
+    """Returns x, y [m] and heading [rad] of a planar transform, shape (3,)."""
+    return np.array([T_a_b[0, 3], T_a_b[1, 3], heading(T_a_b)])
 
 
 def _wrapped(angle: float) -> float:

@@ -55,7 +55,8 @@ class MockCamera:
         seed: Of the noise.
         blur_px: Standard deviation of the blur [px]; 0 = none.
         noise: Standard deviation of the noise [grey levels]; 0 = none.
-        light: Share of the full light, above 0; little light means little contrast, not less noise.
+        light: Share of the full light; little light means little contrast, not less noise. May be
+            changed between images.
         samples: Samples per pixel and axis: 3 puts edges to 0.02 px, 6 to 0.01 px in three times
             the time.
     """
@@ -78,7 +79,7 @@ class MockCamera:
             for marker in fixture.markers
         )
         self._blur_px = blur_px
-        self._light = light
+        self.light = light
         self._samples = samples
         self._random = np.random.default_rng([seed, 0xCA3E])
         shape = (self._camera.height, self._camera.width)
@@ -109,8 +110,8 @@ class MockCamera:
             self._draw(image, T_camera_marker, plate)
         for cover in covers:
             cv2.fillPoly(image, [np.rint(cover).astype(np.int32)], _COVER)
-        if self._light != 1.0:
-            image = np.rint(image * np.float32(self._light)).clip(0, 255).astype(np.uint8)
+        if self.light != 1.0:
+            image = np.rint(image * np.float32(self.light)).clip(0, 255).astype(np.uint8)
         if self._blur_px > 0.0:
             image = np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur_px), dtype=np.uint8)
         return self._with_noise(image)

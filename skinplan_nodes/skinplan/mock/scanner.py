@@ -1,16 +1,15 @@
-"""A scanner that casts rays at the true mesh, and the tracker that follows it (M2.1, M1.1)."""
+"""A scanner that casts rays at the true mesh (M2.1)."""
 
 from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from skinplan.errors import InputError
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.scanner.model import CYLINDER, ScannerModel
 from skinplan.scanner.rays import RayCaster
-from skinplan.transforms import Array, apply, inverse, require_transform, transform
+from skinplan.transforms import Array, apply, require_transform
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -116,52 +115,3 @@ class MockScanner:
         radii = np.maximum(np.linalg.norm(places, axis=1, keepdims=True), 1e-12)
         places *= np.minimum(1.0, limit / radii)
         return np.column_stack([np.zeros(len(places)), places])
-
-
-class MockTracker:
-    """Follows the scanner while it is in range and in the cone of view; nothing blocks its sight.
-
-    Args:
-        T_map_tracker: Where it stands, shape (4, 4) [m]; +x is its view direction.
-        seed: Of the noise.
-        range_m: Nearest and farthest distance [m].
-        cone_rad: Half angle of the cone of view [rad].
-        noise_m: Standard deviation of the scanner's position, each axis [m].
-        noise_rad: Standard deviation of the scanner's rotation, each axis [rad].
-    """
-
-    def __init__(
-        self,
-        T_map_tracker: Array,
-        seed: int,
-        range_m: tuple[float, float] = (1.0, 6.0),
-        cone_rad: float = 0.87,
-        noise_m: float = 2e-5,
-        noise_rad: float = 3e-5,
-    ) -> None:
-        self._T_tracker_map = inverse(require_transform(T_map_tracker, "T_map_tracker"))
-        self._range_m = range_m
-        self._cone_rad = cone_rad
-        self._noise_m = noise_m
-        self._noise_rad = noise_rad
-        self._random = np.random.default_rng([seed, 0x72AC])
-
-    def sees(self, T_map_scanner: Array) -> bool:
-        """Returns whether the scanner, shape (4, 4) [m], is in range and in the cone."""
-        place = apply(self._T_tracker_map, T_map_scanner[None, :3, 3])[0]
-        distance = float(np.linalg.norm(place))
-        if not self._range_m[0] <= distance <= self._range_m[1]:
-            return False
-        return bool(place[0] >= distance * np.cos(self._cone_rad))
-
-    def measure(self, T_map_scanner: Array) -> Array:
-        """Returns the scanner in the tracker frame, with noise, shape (4, 4) [m].
-
-        Raises:
-            InputError: The pose is no rigid transform.
-        """
-        exact = self._T_tracker_map @ require_transform(T_map_scanner, "T_map_scanner")
-        turn = Rotation.from_rotvec(self._random.normal(0.0, self._noise_rad, 3)).as_matrix()
-        measured = exact @ transform(rotation=turn)
-        measured[:3, 3] += self._random.normal(0.0, self._noise_m, 3)
-        return measured

@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from skinplan_nodes.conversions.joints import (
         joint_state_from_msg,
         joint_state_to_msg,
+        joint_tolerances_from_msg,
         joint_trajectory_from_msg,
         joint_trajectory_to_msg,
         start_from_msg,
@@ -141,6 +142,7 @@ _MODULES = {
     "joints": (
         "joint_state_from_msg",
         "joint_state_to_msg",
+        "joint_tolerances_from_msg",
         "joint_trajectory_from_msg",
         "joint_trajectory_to_msg",
         "start_from_msg",
@@ -214,6 +216,7 @@ __all__ = [
     "job_to_msg",
     "joint_state_from_msg",
     "joint_state_to_msg",
+    "joint_tolerances_from_msg",
     "joint_trajectory_from_msg",
     "joint_trajectory_to_msg",
     "key_values_from_msg",

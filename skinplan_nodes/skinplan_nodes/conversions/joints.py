@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 import numpy as np
+from control_msgs.msg import JointTolerance
 from sensor_msgs.msg import JointState
 from trajectory_msgs.msg import JointTrajectory, JointTrajectoryPoint
 
@@ -124,6 +125,35 @@ def joint_trajectory_from_msg(
             "joint trajectory: finite positions and velocities are accepted, found others"
         )
     return times, positions[:, order], velocities[:, order]
+
+
+def joint_tolerances_from_msg(
+    msgs: Sequence[JointTolerance], defaults: Array, names: Sequence[str] = JOINT_NAMES
+) -> tuple[Array, Array]:
+    """Returns how far joints may be off, positions [rad] and velocities [rad/s], shape (n,) each.
+
+    Args:
+        msgs: Tolerances by joint; 0 = the default, negative = no limit.
+        defaults: Of the positions, shape (n,) [rad]; velocities have no limit by default.
+        names: Joints in the order of the result.
+
+    Raises:
+        JointsInvalidError: A joint that is unknown or named twice, or a value that is NaN.
+    """
+    found = np.array([defaults, np.full(len(names), np.inf)], dtype=float)
+    seen: set[str] = set()
+    for msg in msgs:
+        values = (msg.position, msg.velocity)
+        if msg.name not in names or msg.name in seen or np.isnan(values).any():
+            raise JointsInvalidError(
+                f"joint tolerances: numbers for each of {list(names)} at most once are accepted, "
+                f"found {msg.name!r} with {values}"
+            )
+        seen.add(msg.name)
+        for kind, value in enumerate(values):
+            if value != 0.0:
+                found[kind, list(names).index(msg.name)] = value if value > 0.0 else np.inf
+    return found[0], found[1]
 
 
 def start_from_msg(msg: JointState) -> Array | None:
