@@ -103,8 +103,18 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
                 "wait_for": list(_TIME_WAITS_FOR),
             },
         ),
-        NodeSpec("mock_mir100", True, True, mock),
-        NodeSpec("mock_ur5", True, True, {**cell, "rate_hz": JOINT_RATE_HZ}),
+        NodeSpec("mock_mir100", True, True, {**mock, **_stands(settings, "base")}),
+        NodeSpec(
+            "mock_ur5",
+            True,
+            True,
+            {
+                **cell,
+                "seed": settings.seed,
+                "rate_hz": JOINT_RATE_HZ,
+                **_stands(settings, "arm"),
+            },
+        ),
         NodeSpec("mock_ctrack", True, True, mock),
         NodeSpec("mock_camera", True, True, {**mock, "rate_hz": _image_rate_hz(settings)}),
         NodeSpec("run_recorder", parameters=clock),
@@ -117,6 +127,13 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
     ]
     started = [node for node in nodes if settings.simulated or not node.simulated]
     return (*started, _supervisor(settings, started, cell))
+
+
+def _stands(settings: GraphSettings, device: str) -> dict[str, ParameterValue]:
+    """A device whose process is started again goes on where it stood, as its clock does."""
+    if not settings.clock_file:
+        return {}
+    return {"state_file": str(Path(settings.clock_file).with_name(f"{device}.state"))}
 
 
 def _patience(settings: GraphSettings) -> dict[str, ParameterValue]:

@@ -15,6 +15,7 @@ from tf2_msgs.msg import TFMessage
 from skinplan.errors import SkinplanError
 from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.mock.faults import Fault, FaultKind
+from skinplan.mock.kept import KeptState
 from skinplan.mock.truth import Truth
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array, inverse
@@ -35,7 +36,7 @@ from skinplan_nodes.goal_slot import (
     conclude,
 )
 from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
-from skinplan_nodes.mock_parts import SHOP, part_of
+from skinplan_nodes.mock_parts import SHOP, STATE_FILE, part_of
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import Parameter, load
 from skinplan_nodes.planning import configured_cell
@@ -95,6 +96,7 @@ class MockMir100(CellNode):
             0.0,
             600.0,
         ),
+        STATE_FILE,
         FAULTS,
     )
 
@@ -104,6 +106,8 @@ class MockMir100(CellNode):
         truth = Truth(part, cell, self.values.seed)
         config = load(self.values, BaseConfig)
         self._base = MockBase(config, cell, self.values.seed, truth.T_map_base_start)
+        self._kept = KeptState(self.values.state_file, len(self._base.stand()))
+        self._restored = False
         self._goals = GoalSlot(self)
         self._target: Array | None = None
         self._blocked_s = math.inf
@@ -130,6 +134,7 @@ class MockMir100(CellNode):
     def close(self) -> None:
         """Ends the goal that is being driven to."""
         self._goals.finish(GoalEnd.CANCELLED)
+        self._kept.close()
 
     async def _on_navigate(self, handle: ServerGoalHandle) -> NavigateToPose.Result:
         now_s = self.now_s()
@@ -194,6 +199,7 @@ class MockMir100(CellNode):
     def _on_tick(self) -> None:
         now_s = self.now_s()
         self._base.step(now_s)
+        self._keep(now_s)
         self._faults.step(now_s, self._base.true[:3, 3])
         active = self._goals.active
         if active is not None and self._faults.book.values(NEVER_ANSWERS) is None:
@@ -202,6 +208,14 @@ class MockMir100(CellNode):
         device.busy, device.moving = self._goals.active is not None, self._base.moving
         self._face.refresh()
         self._publish(now_s)
+
+    def _keep(self, now_s: float) -> None:
+        if not self._restored:
+            self._restored = True
+            stood = self._kept.read(now_s)
+            if stood is not None:
+                self._base.place(stood)
+        self._kept.write(now_s, self._base.stand())
 
     def _drive(self, active: ServerGoalHandle, now_s: float) -> None:
         if active.is_cancel_requested:

@@ -13,6 +13,12 @@ PART_URI = Parameter(
     "Part that stands in the mock cell: absolute path or file:// URI of a part.yaml.",
 )
 SEED = Parameter("seed", 1, "Seed of every random draw of this mock [1].", 0, 2**31 - 1)
+STATE_FILE = Parameter(
+    "state_file",
+    "",
+    "Absolute path of a file with where the device stands, for a process that is started again; "
+    "empty = it begins anew.",
+)
 #: Parameters of a mock that knows the part.
 SHOP = (CELL_FILE, PART_URI, SEED)
 

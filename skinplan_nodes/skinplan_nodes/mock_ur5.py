@@ -18,6 +18,7 @@ from trajectory_msgs.msg import JointTrajectoryPoint
 from skinplan.errors import JointsInvalidError, SkinplanError, StartStateError
 from skinplan.mock.arm import Ending, MockArm, Tolerances
 from skinplan.mock.faults import Fault, FaultKind
+from skinplan.mock.kept import KeptState
 from skinplan.robot.arm import ArmModel
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array
@@ -40,7 +41,7 @@ from skinplan_nodes.goal_slot import (
     conclude,
 )
 from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
-from skinplan_nodes.mock_parts import SEED
+from skinplan_nodes.mock_parts import SEED, STATE_FILE
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, Parameter
 from skinplan_nodes.planning import configured_cell
@@ -110,6 +111,7 @@ class MockUr5(CellNode):
             0.01,
         ),
         Parameter("stop_deceleration_rad_s2", 5.0, "Of a stop, any joint [rad/s^2].", 0.5, 50.0),
+        STATE_FILE,
         FAULTS,
     )
 
@@ -119,6 +121,8 @@ class MockUr5(CellNode):
         self._model = ArmModel.load(cell)
         self._cell = cell
         self._arm = self._make_arm(cell)
+        self._kept = KeptState(values.state_file, len(self._model.joint_names))
+        self._restored = False
         self._arm.set_speed(values.speed_percent / 100.0, 0.0)
         self._goals = GoalSlot(self)
         self._step_s = 1.0 / values.rate_hz
@@ -168,6 +172,7 @@ class MockUr5(CellNode):
     def close(self) -> None:
         """Ends the trajectory that is followed."""
         self._goals.finish(GoalEnd.CANCELLED)
+        self._kept.close()
 
     async def _on_trajectory(self, handle: ServerGoalHandle) -> FollowJointTrajectory.Result:
         refusal = self._face.device.refusal
@@ -234,6 +239,7 @@ class MockUr5(CellNode):
 
     def _on_tick(self) -> None:
         now_s = self.now_s()
+        self._keep(now_s)
         self._faults.step(now_s, self._place(now_s))
         active = self._goals.active
         if active is not None and active.is_cancel_requested:
@@ -246,6 +252,14 @@ class MockUr5(CellNode):
         device = self._face.device
         device.busy, device.moving = self._goals.active is not None, self._arm.moving(now_s)
         self._face.refresh()
+
+    def _keep(self, now_s: float) -> None:
+        if not self._restored:
+            self._restored = True
+            stood = self._kept.read(now_s)
+            if stood is not None:
+                self._arm.place(stood, now_s)
+        self._kept.write(now_s, self._arm.state(now_s)[0])
 
     def _follow(self, active: ServerGoalHandle, now_s: float) -> None:
         end = self._arm.ending(now_s)

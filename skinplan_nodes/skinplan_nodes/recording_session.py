@@ -147,7 +147,7 @@ class RecordingSession:
     def discover(self) -> None:
         """Subscribes topics that are new, and anew where publishers offer less than before."""
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._refused or _is_hidden(topic):
+            if topic in self._refused or _is_left_out(topic):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if not publishers:
@@ -263,6 +263,10 @@ def _name(policy: Any) -> str:
     return str(policy.short_key)
 
 
-def _is_hidden(topic: str) -> bool:
-    """Tells whether ROS hides a topic (of actions); ``ros2 bag`` leaves those out, too."""
-    return any(part.startswith("_") for part in topic.split("/"))
+def _is_left_out(topic: str) -> bool:
+    """Tells whether a topic is not for the bag.
+
+    ROS hides those of actions, ``ros2 bag`` leaves them out, too; what only a simulation can know
+    is for no node of the cell.
+    """
+    return any(part.startswith("_") or part == "truth" for part in topic.split("/"))

@@ -29,6 +29,17 @@ def test_built_type_has_the_recorded_hash(type_name):
     assert built_hashes().get(type_name) == RECORDED[type_name]
 
 
+STAND_INS = Path(__file__).resolve().parents[2] / "ros2_ws" / "stand_ins"
+
+
+def test_every_type_of_the_stand_ins_is_among_them():
+    """Nothing that the graph uses of these packages is left unchecked."""
+    for package in ("control_msgs", "nav2_msgs", "tf2_msgs"):
+        for file in STAND_INS.glob(f"{package}/*/*"):
+            if file.suffix in (".msg", ".srv", ".action"):
+                assert f"{package}/{file.parent.name}/{file.stem}" in RECORDED
+
+
 @pytest.fixture
 def node():
     context = rclpy.Context()

@@ -206,8 +206,9 @@ def test_localisation_jumps_and_odometry_does_not(bench: Bench, part_uri: str) -
     count = len(devices.odometry)
     devices.make("mock_mir100", "jump", jump=0.08)
     assert bench.result(result, turning=True).status == GoalStatus.STATUS_SUCCEEDED
-    places = np.array([pose_from_msg(m.pose.pose)[:2, 3] for m in devices.odometry[count:]])
-    stamps = np.array([stamp_from_msg(m.header.stamp) for m in devices.odometry[count:]])
+    told = devices.odometry[count:]
+    places = np.array([pose_from_msg(m.pose.pose)[:2, 3] for m in told])
+    stamps = np.array([stamp_from_msg(m.header.stamp) for m in told])
     ways = np.linalg.norm(np.diff(places, axis=0), axis=1)
     assert np.all(ways <= CellConfig().base_speed_m_s * np.diff(stamps) + 1e-6)
     # Where it believes to be is the goal; the wheels have come somewhere else.
@@ -351,3 +352,45 @@ def test_a_killed_device_process_is_gone_without_a_word(tmp_path: Path) -> None:
     done = subprocess.run([*program, *given], capture_output=True, timeout=60.0, cwd=tmp_path)
     assert done.returncode == -9
     assert b"process_killed begins" in done.stderr
+
+
+def stood_at(part_uri: str, folder: Path, from_s: float, goals: bool) -> tuple[Any, Any, float]:
+    """Starts arm and base, sends them somewhere or not; returns where they stand, and the time."""
+    bench = Bench()
+    try:
+        devices = Devices(bench)
+        bench.now_s = from_s
+        bench.start(MockUr5, state_file=str(folder / "arm.state"))
+        bench.start(MockMir100, part_uri=part_uri, state_file=str(folder / "base.state"))
+        bench.turn_clock(bench.now_s + 0.3)
+        if goals:
+            bench.result(follow(bench, [0.0, 1.0], [HOME, HOME + 0.3])[1], turning=True)
+            bench.result(navigate(bench, planar(1.0, -1.0, 0.2))[1], turning=True)
+        late_s = bench.now_s + 0.5
+        bench.wait(
+            lambda: (
+                devices.joints
+                and devices.odometry
+                and stamp_from_msg(devices.joints[-1].header.stamp) > late_s
+                and stamp_from_msg(devices.odometry[-1].header.stamp) > late_s
+            ),
+            turning=True,
+        )
+        base = pose_from_msg(devices.odometry[-1].pose.pose)
+        return np.array(devices.joints[-1].position), base, bench.now_s
+    finally:
+        bench.close()
+        assert not bench.failures
+
+
+def test_devices_stand_where_they_stood_when_their_process_is_started_again(
+    part_uri: str, tmp_path: Path
+) -> None:
+    q, base, now_s = stood_at(part_uri, tmp_path, 1.0, goals=True)
+    again, moved, _ = stood_at(part_uri, tmp_path, now_s, goals=False)
+    assert np.abs(q - HOME).max() > 0.2
+    np.testing.assert_allclose(again, q, atol=1e-9)
+    np.testing.assert_allclose(moved, base, atol=1e-9)
+    # Of another run, whose clock begins anew, nothing is taken over.
+    home, _, _ = stood_at(part_uri, tmp_path, 1.0, goals=False)
+    np.testing.assert_allclose(home, HOME, atol=1e-9)

@@ -13,6 +13,7 @@ from nodes.bench import Bench
 from nodes.graph_facts import NodeFacts, node_class, node_names, start_all
 from nodes.small_part import write_small_part
 from skinplan_nodes.supervisor.devices import DEVICES, MOVING
+from skinplan_nodes.graph import GraphSettings, describe
 
 PACKAGE = Path(__file__).resolve().parents[2] / "skinplan_nodes"
 README = PACKAGE / "README.md"
@@ -130,3 +131,33 @@ def test_every_subscription_and_call_has_somebody_who_answers(facts: dict[str, A
     optional |= {(f"{device}/reset", "std_srvs/srv/Trigger") for device in DEVICES}
     optional |= {(f"{device}/stop", "std_srvs/srv/Trigger") for device in MOVING}
     assert used - served - every_node <= optional
+
+
+MOCKS = {
+    node.name for node in describe(GraphSettings(Path("/runs"), "/part.yaml")) if node.simulated
+}
+
+
+def test_only_mocks_know_the_truth_and_only_mocks_fail_on_demand(facts: dict[str, Any]) -> None:
+    ends = [(name, end) for name, node in facts.items() for end in node.endpoints]
+    knowing = {name for name, end in ends if "truth" in end.name.split("/")}
+    assert knowing and knowing <= MOCKS
+    failing = {(name, end.role) for name, end in ends if end.name.endswith("inject_fault")}
+    assert failing == {(name, "serves") for name in MOCKS}
+    subscribed = {end.name for _, end in ends if end.role == "subscribes"}
+    published = {end.name for name, end in ends if end.role == "publishes" and name in MOCKS}
+    assert {name for name in published & subscribed if name.startswith("truth/")}, "they are used"
+
+
+def test_no_module_of_the_cell_refers_to_a_mock() -> None:
+    """Neither by import nor by name of a topic or node; the job client judges simulated runs."""
+    judges = {"measure_client.py", "truth.py", "measure.py"}
+    found = []
+    for path in sorted(PACKAGE.glob("skinplan*/**/*.py")):
+        is_mock = path.name.startswith("mock_") or path.parent.name == "mock"
+        if is_mock or path.name in {"graph.py", *judges}:
+            continue
+        text = path.read_text(encoding="utf-8")
+        if re.search(r"skinplan\.mock|\bmock_\w+|[\"']truth/", text):
+            found.append(str(path.relative_to(PACKAGE)))
+    assert found == []

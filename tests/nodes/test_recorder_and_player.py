@@ -72,6 +72,7 @@ def test_every_topic_is_recorded_with_type_hash_qos_and_definition(
     recorder = bench.start(RunRecorder, simulated=False)
     assert start_recording(bench, tmp_path / "bag", job="a").status.code == Status.OK
     late = bench.tester.create_publisher(String, "late", SENSOR)
+    truth = bench.tester.create_publisher(String, "truth/late", SENSOR)
     server = ActionServer(bench.tester, NavigateToPose, "go", lambda handle: None)
     bench.wait(lambda: late.get_subscription_count() > 0)
     for number in range(20):
@@ -94,6 +95,7 @@ def test_every_topic_is_recorded_with_type_hash_qos_and_definition(
     assert topics["/late"].type_hash == str(info.topic_type_hash)
     assert all(topic.schema_text for topic in bag.topics)
     assert not [name for name in topics if name.startswith("/go")], "hidden topics are left out"
+    assert "/truth/late" not in topics and not truth.get_subscription_count()
 
 
 def test_a_publisher_that_offers_less_is_recorded_too(bench: Bench, tmp_path: Path) -> None:

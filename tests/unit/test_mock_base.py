@@ -1,9 +1,12 @@
 """The mock base: closed forms of motion, stopping errors in their bounds, refusals."""
 
+import itertools
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from skinplan.errors import InputError
 from skinplan.mock.base import BaseConfig, MockBase
@@ -174,3 +177,131 @@ def test_goals_that_no_base_can_reach_are_refused(goal, word):
     with pytest.raises(InputError, match=word):
         robot.goal(goal)
     assert not robot.moving
+
+
+commands = st.lists(
+    st.tuples(st.floats(0.1, 4.0), st.sampled_from(["goal", "cancel", "stop", "jump"])),
+    max_size=5,
+)
+
+
+def obey(robot, command, number):
+    if command == "goal":
+        robot.goal(planar(1.0 - 2.0 * (number % 2), 0.7 * number, 0.5 * number))
+    elif command == "jump":
+        robot.jump(0.1)
+    else:
+        getattr(robot, command)()
+
+
+@settings(max_examples=12, deadline=None)
+@given(commands, st.floats(0.05, 0.6), st.integers(0, 3))
+def test_limits_hold_and_any_ticks_give_the_same_states(orders, tick, seed):
+    config = BaseConfig(jump_probability=0.5)
+    coarse, fine = MockBase(config, CELL, seed, START), MockBase(config, CELL, seed, START)
+    coarse.goal(planar(3.0, 1.0, 1.0))
+    fine.goal(planar(3.0, 1.0, 1.0))
+    now, speeds, rates, wheels = 0.0, [0.0], [0.0], [fine.odometry]
+    # So long as the next order is not due, `fine` goes in small steps, `coarse` in one.
+    for number, (wait, command) in enumerate([*orders, (40.0, "stop")]):
+        grid = np.arange(now, now + wait, tick)[1:]
+        for step in grid:
+            fine.step(step)
+            speeds.append(fine.speed)
+            rates.append(fine.turn_rate)
+            wheels.append(fine.odometry)
+        now += wait
+        coarse.step(now)
+        fine.step(now)
+        np.testing.assert_allclose(fine.believed, coarse.believed, atol=1e-9)
+        np.testing.assert_allclose(fine.true, coarse.true, atol=1e-9)
+        np.testing.assert_allclose(fine.odometry, coarse.odometry, atol=1e-9)
+        assert fine.speed == pytest.approx(coarse.speed, abs=1e-9)
+        obey(coarse, command, number)
+        obey(fine, command, number)
+    assert np.abs(speeds).max() <= CELL.base_speed_m_s + 1e-9
+    assert np.abs(rates).max() <= config.turn_speed_rad_s + 1e-9
+    assert np.all((np.abs(speeds) < 1e-12) | (np.abs(rates) < 1e-12))
+    ways = [difference(a, b)[0] for a, b in itertools.pairwise(wheels)]
+    # Between two ticks may lie an order and what is left of the tick before.
+    assert max(ways) <= 2.0 * tick * CELL.base_speed_m_s + 1e-9
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.floats(0.0, 6.0))
+def test_a_stop_brings_standstill_within_speed_over_deceleration(after):
+    config = BaseConfig()
+    robot = base()
+    robot.goal(planar(3.0, 1.0, 1.0))
+    robot.step(after)
+    speed, rate = abs(robot.speed), abs(robot.turn_rate)
+    robot.stop()
+    longest = max(
+        speed / config.stop_deceleration_m_s2, rate / config.stop_turn_deceleration_rad_s2
+    )
+    assert robot.remaining_s <= longest + 1e-9
+    before = robot.believed
+    robot.step(after + longest + 1e-9)
+    assert not robot.moving and robot.speed == robot.turn_rate == 0.0
+    assert difference(before, robot.believed)[0] <= speed * longest / 2 + 1e-9
+    stood = robot.true
+    robot.step(after + 100.0)
+    np.testing.assert_array_equal(robot.true, stood)
+
+
+def test_a_new_goal_while_driving_changes_no_speed_at_once():
+    robot = base()
+    robot.goal(planar(6.0, 0.0, 0.0))
+    robot.step(3.0)
+    speed = robot.speed
+    robot.goal(planar(0.0, 2.0, 0.0))
+    assert robot.speed == pytest.approx(speed)
+    speeds = []
+    for now in np.arange(3.0, 3.0 + robot.remaining_s, 0.02):
+        robot.step(now)
+        speeds.append(robot.speed)
+    assert np.abs(np.diff(speeds)).max() <= BaseConfig().acceleration_m_s2 * 0.02 + 1e-9
+    robot.step(100.0)
+    np.testing.assert_allclose(robot.believed, planar(0.0, 2.0, 0.0), atol=1e-9)
+
+
+def test_a_jump_of_the_localisation_moves_neither_base_nor_odometry():
+    for drive in (False, True):
+        robot = base()
+        if drive:
+            robot.goal(planar(4.0, 0.0, 0.0))
+            robot.step(2.5)
+        true, wheels, believed = robot.true, robot.odometry, robot.believed
+        robot.jump(0.08)
+        np.testing.assert_allclose(robot.true, true, atol=1e-12)
+        np.testing.assert_allclose(robot.odometry, wheels, atol=1e-12)
+        assert difference(believed, robot.believed)[0] == pytest.approx(0.08)
+        assert robot.moving == drive
+        robot.step(60.0)
+        if drive:
+            np.testing.assert_allclose(robot.believed, planar(4.0, 0.0, 0.0), atol=1e-9)
+            assert difference(robot.true, robot.believed)[0] <= CELL.base_error_m
+
+
+def test_jumps_happen_in_their_share_of_the_drives():
+    robot = MockBase(BaseConfig(jump_probability=0.3), CELL, 1, START)
+    jumps, now = 0, 0.0
+    for drive in range(200):
+        before = robot.T_map_odom
+        robot.goal(planar(float(drive % 2), 0.0, 0.0))
+        now += 60.0
+        robot.step(now)
+        moved = difference(before, robot.T_map_odom)[0]
+        jumps += moved > 0.0
+        assert not robot.moving
+    assert 0.2 < jumps / 200 < 0.4
+
+
+def test_the_speed_of_the_cell_counts_up_to_that_of_the_base():
+    robot = base(cell=replace(CELL, base_speed_m_s=3.0))
+    robot.goal(planar(20.0, 0.0, 0.0))
+    speeds = []
+    for now in np.arange(0.0, robot.remaining_s, 0.1):
+        robot.step(now)
+        speeds.append(robot.speed)
+    assert max(speeds) == pytest.approx(1.5)

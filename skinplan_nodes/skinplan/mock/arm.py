@@ -147,6 +147,17 @@ class MockArm:
         self._tolerances = Tolerances.same(count) if tolerances is None else tolerances
         log.debug("arm: %d points in %.2f s", len(when), when[-1])
 
+    def place(self, positions: ArrayLike, now_s: float) -> None:
+        """Puts the arm somewhere, shape (j,) [rad]; it stands there.
+
+        Raises:
+            JointsInvalidError: Beyond the limits.
+        """
+        where = np.asarray(positions, dtype=float)
+        self._limits.require_positions(where[None, :])
+        self._motions.clear()
+        self._motions.append(ArmMotion.hold(float(now_s), where))
+
     def state(self, now_s: float) -> tuple[Array, Array]:
         """Returns the state at a time, also one of the last seconds.
 
