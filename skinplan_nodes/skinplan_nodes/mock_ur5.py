@@ -1,6 +1,5 @@
 """Mock of the arm: the interfaces of ``ur_robot_driver``, on simulated time."""
 
-import array
 import sys
 from collections.abc import Sequence
 from typing import Any
@@ -13,23 +12,15 @@ from rclpy.action.server import ServerGoalHandle
 from sensor_msgs.msg import JointState
 from std_msgs.msg import Float64
 from tf2_msgs.msg import TFMessage
-from trajectory_msgs.msg import JointTrajectoryPoint
 
 from skinplan.errors import JointsInvalidError, SkinplanError, StartStateError
-from skinplan.mock.arm import Ending, MockArm, Tolerances
+from skinplan.mock.arm import Ending
 from skinplan.mock.faults import Fault, FaultKind
 from skinplan.mock.kept import KeptState
 from skinplan.robot.arm import ArmModel
-from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array
 from skinplan_nodes.conversions import (
-    duration_from_msg,
-    header_to_msg,
-    joint_state_to_msg,
-    joint_tolerances_from_msg,
-    joint_trajectory_from_msg,
     pose_stamped_from_msg,
-    stamp_to_msg,
     transform_stamped_to_msg,
 )
 from skinplan_nodes.goal_slot import (
@@ -40,10 +31,15 @@ from skinplan_nodes.goal_slot import (
     accept_goal,
     conclude,
 )
-from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
-from skinplan_nodes.mock_parts import SEED, STATE_FILE
+from skinplan_nodes.mock_arm_parts import (
+    PARAMETERS,
+    StateTeller,
+    feedback_of,
+    make_arm,
+    take_goal,
+)
+from skinplan_nodes.mock_device import DeviceFace, FaultFace
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import CELL_FILE, Parameter
 from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import STATE, STATIC_TF
 from skinplan_nodes.run import run_node
@@ -75,52 +71,14 @@ class MockUr5(CellNode):
 
     NAME = "mock_ur5"
     THREADS = 1
-    PARAMETERS = (
-        CELL_FILE,
-        SEED,
-        Parameter("rate_hz", 125.0, "Joint states per second of simulated time [Hz].", 10.0, 500.0),
-        Parameter(
-            "tf_rate_hz", 10.0, "Most transforms per second of simulated time [Hz].", 1.0, 100.0
-        ),
-        Parameter(
-            "feedback_rate_hz",
-            2.0,
-            "Feedback of a goal per second of simulated time [Hz].",
-            0.1,
-            50.0,
-        ),
-        Parameter("speed_percent", 100.0, "Speed scaling at the start [%].", 1.0, 100.0),
-        Parameter(
-            "path_tolerance_rad", 0.2, "While moving, where a goal does not say [rad].", 1e-4, 3.2
-        ),
-        Parameter(
-            "goal_tolerance_rad", 0.1, "At the end, where a goal does not say [rad].", 1e-4, 3.2
-        ),
-        Parameter(
-            "goal_time_s",
-            0.6,
-            "How late it may get there, if a goal does not say [s].",
-            0.0,
-            60.0,
-        ),
-        Parameter(
-            "repeatability_m",
-            3e-5,
-            "The scanner stands at most so far beside where it was sent [m].",
-            0.0,
-            0.01,
-        ),
-        Parameter("stop_deceleration_rad_s2", 5.0, "Of a stop, any joint [rad/s^2].", 0.5, 50.0),
-        STATE_FILE,
-        FAULTS,
-    )
+    PARAMETERS = PARAMETERS
 
     def __init__(self, **kwargs: Any) -> None:
         super().__init__(**kwargs)
         values, cell = self.values, configured_cell(self.values.cell_file)
         self._model = ArmModel.load(cell)
         self._cell = cell
-        self._arm = self._make_arm(cell)
+        self._arm = make_arm(self._model, cell, values)
         self._kept = KeptState(values.state_file, len(self._model.joint_names))
         self._restored = False
         self._arm.set_speed(values.speed_percent / 100.0, 0.0)
@@ -129,7 +87,7 @@ class MockUr5(CellNode):
         self._tick_number = 0
         self._tf_s = self._told_s = self._scaling_s = 0.0
         self._T_map_base_link: Array | None = None
-        self._states = self.create_publisher(JointState, "joint_states", STATE)
+        self._states = StateTeller(self.create_publisher(JointState, "joint_states", STATE))
         self._scaling = self.create_publisher(
             Float64, "speed_scaling_state_broadcaster/speed_scaling", STATE
         )
@@ -137,9 +95,6 @@ class MockUr5(CellNode):
         static_tf = self.create_publisher(TFMessage, "tf_static", STATIC_TF)
         edge = transform_stamped_to_msg("tool0", "scanner", cell.T_tool0_scanner)
         static_tf.publish(TFMessage(transforms=[edge]))
-        # Filled anew for every state: making a message costs more than publishing it.
-        none = np.zeros(len(self._model.joint_names))
-        self._message = joint_state_to_msg(none, none)
         self._face = DeviceFace(self, "arm", self._on_stop)
         self._faults = FaultFace(self, _KINDS, self._on_fault, self._on_fault_end)
         # Only where it stands: faults may begin at a place.
@@ -154,21 +109,6 @@ class MockUr5(CellNode):
             cancel_callback=accept_cancel,
         )
 
-    def _make_arm(self, cell: CellConfig) -> MockArm:
-        model = self._model
-        # Even if all joints err in the worst direction, the scanner stays within the figure.
-        levers = np.maximum(model.lever_arms(), 0.05)
-        return MockArm(
-            model.joint_names,
-            model.lower,
-            model.upper,
-            model.velocity,
-            cell.home_rad,
-            repeatability_rad=self.values.repeatability_m / len(levers) / levers,
-            deceleration_rad_s2=self.values.stop_deceleration_rad_s2,
-            seed=self.values.seed,
-        )
-
     def close(self) -> None:
         """Ends the trajectory that is followed."""
         self._goals.finish(GoalEnd.CANCELLED)
@@ -179,7 +119,7 @@ class MockUr5(CellNode):
         try:
             if refusal:
                 raise SkinplanError(refusal)
-            self._accept(handle.request)
+            take_goal(self._arm, handle.request, self.values, self.now_s())
         except SkinplanError as error:
             self.get_logger().warning(f"trajectory refused: {error}")
             handle.abort()
@@ -195,22 +135,6 @@ class MockUr5(CellNode):
             return _Result(error_code=end.code, error_string=end.text)
         return _Result(
             error_code=_Result.INVALID_GOAL, error_string=f"the trajectory was {end.value}"
-        )
-
-    def _accept(self, goal: FollowJointTrajectory.Goal) -> None:
-        names, values = self._model.joint_names, self.values
-        points = goal.trajectory.points
-        times, positions, velocities = joint_trajectory_from_msg(goal.trajectory)
-        smooth = bool(points) and all(len(point.velocities) for point in points)
-        count = len(names)
-        default = np.full(count, values.path_tolerance_rad)
-        path, path_velocity = joint_tolerances_from_msg(goal.path_tolerance, default)
-        default = np.full(count, values.goal_tolerance_rad)
-        end, end_velocity = joint_tolerances_from_msg(goal.goal_tolerance, default)
-        late_s = duration_from_msg(goal.goal_time_tolerance) or values.goal_time_s
-        tolerances = Tolerances(path, path_velocity, end, end_velocity, late_s)
-        self._arm.accept(
-            names, times, positions, self.now_s(), velocities if smooth else None, tolerances
         )
 
     def _on_stop(self, reason: str) -> None:
@@ -266,7 +190,7 @@ class MockUr5(CellNode):
         if end is None:
             if now_s - self._told_s >= 1.0 / self.values.feedback_rate_hz:
                 self._told_s = now_s
-                active.publish_feedback(self._feedback(now_s))
+                active.publish_feedback(feedback_of(self._arm, now_s))
         elif end[0] is Ending.REACHED:
             self._goals.finish(GoalEnd.REACHED)
         else:
@@ -296,7 +220,7 @@ class MockUr5(CellNode):
         oldest = max(self._tick_number + 1, newest - int(_LONGEST_GAP_S / self._step_s))
         stamps = np.arange(oldest, newest + 1) * self._step_s
         if len(stamps):
-            self._publish_states(stamps)
+            self._states.tell(self._arm, stamps)
         self._tick_number = newest
         if now_s - self._scaling_s >= 1.0:
             self._scaling_s = now_s
@@ -307,28 +231,6 @@ class MockUr5(CellNode):
             T_arm_base_tool0 = self._model.forward(self._arm.state(stamp_s)[0][None, :])[0]
             edge = transform_stamped_to_msg("arm_base", "tool0", T_arm_base_tool0, stamp_s)
             self._tf.publish(TFMessage(transforms=[edge]))
-
-    def _publish_states(self, stamps: Array) -> None:
-        message = self._message
-        rows = zip(stamps.tolist(), *self._arm.states(stamps), strict=True)
-        for stamp_s, positions, velocities in rows:
-            message.header.stamp = stamp_to_msg(stamp_s)
-            message.position = array.array("d", positions.tobytes())
-            message.velocity = array.array("d", velocities.tobytes())
-            self._states.publish(message)
-
-    def _feedback(self, now_s: float) -> FollowJointTrajectory.Feedback:
-        desired, actual = self._arm.desired(now_s), self._arm.state(now_s)
-        error = desired[0] - actual[0], desired[1] - actual[1]
-        points = (
-            JointTrajectoryPoint(positions=where.tolist(), velocities=speed.tolist())
-            for where, speed in (desired, actual, error)
-        )
-        feedback = FollowJointTrajectory.Feedback(
-            header=header_to_msg("", now_s), joint_names=list(self._model.joint_names)
-        )
-        feedback.desired, feedback.actual, feedback.error = points
-        return feedback
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
