@@ -12,8 +12,8 @@ from rclpy.qos import QoSCompatibility, qos_check_compatible
 from nodes.bench import Bench
 from nodes.graph_facts import NodeFacts, node_class, node_names, start_all
 from nodes.small_part import write_small_part
-from skinplan_nodes.supervisor.devices import DEVICES, MOVING
 from skinplan_nodes.graph import GraphSettings, describe
+from skinplan_nodes.supervisor.devices import DEVICES, MOVING
 
 PACKAGE = Path(__file__).resolve().parents[2] / "skinplan_nodes"
 README = PACKAGE / "README.md"
