@@ -124,6 +124,10 @@ class BagNotWritableError(InputError):
     """A bag can't be created or written there."""
 
 
+class DiskFullError(BagNotWritableError):
+    """The disk is full, or would have less left than has to stay free."""
+
+
 class LocalizationError(SkinplanError):
     """Base of everything that keeps the part from being located."""
 

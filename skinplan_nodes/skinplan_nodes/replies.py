@@ -39,6 +39,7 @@ CODES: dict[type[Exception], int] = {
     errors.BagNotFoundError: Status.BAG_NOT_FOUND,
     errors.BagInvalidError: Status.BAG_INVALID,
     errors.BagNotWritableError: Status.BAG_NOT_WRITABLE,
+    errors.DiskFullError: Status.DISK_FULL,
     errors.NoMarkerError: Status.NO_MARKER,
     errors.WrongMarkerError: Status.WRONG_MARKER,
     errors.AmbiguousPoseError: Status.AMBIGUOUS_POSE,

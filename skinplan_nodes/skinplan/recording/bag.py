@@ -1,66 +1,29 @@
-"""Writes a rosbag2 bag.
+"""Writes a rosbag2 bag of MCAP files.
 
-One MCAP file with zstd chunks, QoS per channel, the rosbag2 metadata record, and
-``metadata.yaml``.
-
-Nothing waits in memory for more than a second: what a power cut can take is the last second.
+Nothing waits in memory for longer than `BagSettings.flush_s`: what a killed process or a power cut
+can take is less than the last second. Chunks go to the disk whole, and `skinplan.recording.heal`
+closes what was cut off.
 """
 
 import logging
-import os
 import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
-from typing import BinaryIO, Self
-
-from mcap.well_known import MessageEncoding, SchemaEncoding
-from mcap.writer import CompressionType, Writer
+from typing import Self
 
 from skinplan.errors import BagNotWritableError
-from skinplan.recording.metadata import (
-    RECORD_NAME,
-    FileFigures,
-    metadata_document,
-    metadata_text,
-    write_metadata,
-)
+from skinplan.recording.bag_files import BagFiles, RecordedTopic, create_folder, names
+from skinplan.recording.bag_settings import BagSettings
+from skinplan.recording.chunk import ChunkBuilder, compressor
+from skinplan.recording.disk import write_error
 from skinplan.recording.model import BagSummary, BagTopic
-from skinplan.recording.qos import QosProfile, qos_text
+from skinplan.recording.qos import QosProfile
+
+__all__ = ["BagSettings", "BagWriter"]
 
 _LOG = logging.getLogger(__name__)
-_COMPRESSIONS = {
-    "zstd": CompressionType.ZSTD,
-    "lz4": CompressionType.LZ4,
-    "none": CompressionType.NONE,
-}
-
-
-@dataclass(frozen=True)
-class BagSettings:
-    """How a bag is written.
-
-    Attributes:
-        compression: ``zstd``, ``lz4`` or ``none``.
-        chunk_bytes: A chunk is closed when it is larger than this [B].
-        flush_s: A chunk is closed and brought to the disk when it is older than this, wall time
-            [s].
-        ros_distro: Name of the ROS distribution whose types are recorded.
-    """
-
-    compression: str = "zstd"
-    chunk_bytes: int = 2**20
-    flush_s: float = 0.5
-    ros_distro: str = "jazzy"
-
-
-@dataclass
-class _Channel:
-    id: int
-    topic: BagTopic
-    messages: int = 0
 
 
 class BagWriter:
@@ -71,8 +34,14 @@ class BagWriter:
         metadata: Facts about the run, kept as ``custom_data``.
         settings: How to write.
 
+    Attributes:
+        settings: How it is written.
+        folder: Bag folder.
+        repeated: Latched messages written again at the head of files so far.
+
     Raises:
         BagNotWritableError: The folder is not empty, or can't be created.
+        DiskFullError: The disk has too little left.
     """
 
     def __init__(
@@ -82,23 +51,22 @@ class BagWriter:
         settings: BagSettings | None = None,
     ) -> None:
         self.settings = settings or BagSettings()
-        if self.settings.compression not in _COMPRESSIONS:
-            raise BagNotWritableError(
-                f"compression {self.settings.compression!r} was asked for; one of "
-                f"{', '.join(_COMPRESSIONS)} is accepted"
-            )
         self.folder = Path(folder).absolute()
-        self._custom_data = {str(key): str(value) for key, value in (metadata or {}).items()}
-        self._channels: dict[str, _Channel] = {}
-        self._schemas: dict[tuple[str, str], int] = {}
-        self._start_ns = 2**63 - 1
-        self._end_ns = 0
+        self.repeated = 0
+        self._compression, self._compress = compressor(self.settings.compression)
+        self._chunk = ChunkBuilder()
         self._summary: BagSummary | None = None
         self._failure: BagNotWritableError | None = None
+        self._file_start_ns: int | None = None
+        self._described: set[int] = set()
         self._lock = threading.Lock()
         self._stopped = threading.Event()
-        self._path, self._stream = _create(self.folder)
-        self._writer = self._open_writer()
+        create_folder(self.folder)
+        custom_data = {str(key): str(value) for key, value in (metadata or {}).items()}
+        self._files = BagFiles(
+            self.folder, custom_data, self.settings.ros_distro, self.settings.least_free_bytes
+        )
+        self._files.open_next()
         self._flusher = threading.Thread(target=self._flush_often, name="bag flusher", daemon=True)
         self._flusher.start()
 
@@ -121,35 +89,41 @@ class BagWriter:
         type_hash: str = "",
         qos: Sequence[QosProfile] = (),
     ) -> int:
-        """Announces a topic.
+        """Announces a topic, or what its publishers offer by now.
 
         Args:
             name: Topic, fully qualified.
             type_name: ROS type.
             schema_text: Definition with dependencies, see `schema_with_dependencies`.
             type_hash: RIHS01 hash; empty = unknown.
-            qos: QoS that the publishers offer.
+            qos: QoS that the publishers offer. Of a topic that is known already they stand in the
+                next file and in ``metadata.yaml``.
 
         Returns:
             Number of the channel; the one it has already when the topic is known with the same
             type.
 
         Raises:
-            BagNotWritableError: The topic is known with another type, or the bag is closed.
+            BagNotWritableError: The topic is known with another type, the bag is closed, or the
+                disk does not take it.
         """
         with self._lock:
             self._require_open()
-            known = self._channels.get(name)
+            known = self._files.topics.get(name)
             if known is not None and known.topic.type_name != type_name:
                 raise BagNotWritableError(
                     f"topic {name} of type {type_name} was asked for, but the bag has it with "
                     f"type {known.topic.type_name}"
                 )
             if known is not None:
+                known.offer(tuple(qos) or known.topic.qos)
                 return known.id
             topic = BagTopic(name, type_name, 0, type_hash, tuple(qos), schema_text)
-            self._channels[name] = _Channel(self._register(topic), topic)
-            return self._channels[name].id
+            try:
+                self._files.add_topic(topic)
+            except BagNotWritableError as error:
+                raise self._failed(error) from error
+            return self._files.topics[name].id
 
     def write(
         self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int | None = None
@@ -173,113 +147,174 @@ class BagWriter:
             )
         with self._lock:
             self._require_open()
-            channel = self._channels.get(topic)
-            if channel is None:
+            known = self._files.topics.get(topic)
+            if known is None:
                 raise BagNotWritableError(
-                    f"topic {topic} was not announced; known are {', '.join(self._channels)}"
+                    f"topic {topic} was not announced; known are "
+                    f"{names(self._files.topics.values())}"
                 )
             try:
-                self._writer.add_message(channel.id, log_time_ns, data, published, channel.messages)
-            except OSError as error:
+                if self._is_split_due(log_time_ns):
+                    self._split(log_time_ns)
+                self._take(known, data, log_time_ns, published)
+            except BagNotWritableError as error:
                 raise self._failed(error) from error
-            channel.messages += 1
-            self._start_ns = min(self._start_ns, log_time_ns)
-            self._end_ns = max(self._end_ns, log_time_ns)
+
+    def split(self, log_time_ns: int) -> Path:
+        """Begins the next file now.
+
+        Args:
+            log_time_ns: Log time of the latched messages that are written again at its head [ns].
+
+        Returns:
+            The file that was closed.
+
+        Raises:
+            BagNotWritableError: The bag is closed, or the disk does not take it.
+        """
+        with self._lock:
+            self._require_open()
+            closed = self._files.current.path
+            try:
+                self._split(max(0, log_time_ns))
+            except BagNotWritableError as error:
+                raise self._failed(error) from error
+            return closed
+
+    def note(self, key: str, value: str) -> None:
+        """Adds a fact that is known only now to ``custom_data``."""
+        with self._lock:
+            self._files.custom_data[key] = value
 
     def flush(self) -> None:
-        """Closes the chunk in progress and brings it to the disk."""
+        """Closes the chunk in progress and brings it to the disk.
+
+        Raises:
+            BagNotWritableError: The disk does not take it.
+        """
         with self._lock:
             if self._summary is not None or self._failure is not None:
                 return
+            file = self._files.current
             try:
-                self._writer.flush()
-            except OSError as error:
+                self._seal()
+            except BagNotWritableError as error:
                 raise self._failed(error) from error
-        # Outside of the lock: a slow disk must not hold up the writers.
-        os.fdatasync(self._stream.fileno())
+        try:
+            # Outside of the lock: a slow disk must not hold up the writers.
+            file.sync()
+        except OSError as error:
+            with self._lock:
+                raise self._failed(write_error(file.path, error)) from error
 
     def finish(self) -> BagSummary:
         """Closes the bag; a second call returns the same.
+
+        Also after the disk was full: what is there is closed in order, and ``failure`` of the
+        summary says why it is not more.
 
         Returns:
             What it holds.
 
         Raises:
-            BagNotWritableError: The disk does not take it. What was flushed before stays readable.
+            BagNotWritableError: Not even the end could be written. What was flushed before stays
+                readable, and `heal_bag` closes it.
         """
         self._stopped.set()
         self._flusher.join()
         with self._lock:
-            if self._summary is not None:
-                return self._summary
-            if self._failure is not None:
-                self._stream.close()
-                raise self._failure
-            try:
-                return self._close()
-            except OSError as error:
-                raise self._failed(error) from error
-            finally:
-                self._stream.close()
+            if self._summary is None:
+                self._close()
+            assert self._summary is not None
+            return self._summary
 
     @property
     def messages(self) -> int:
-        """Messages written so far."""
-        return sum(channel.messages for channel in self._channels.values())
+        """Messages written so far, without those that the disk did not take."""
+        return sum(known.messages - known.lost for known in [*self._files.topics.values()])
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics announced so far."""
-        return tuple(self._channels)
+        return tuple(self._files.topics)
 
-    def _open_writer(self) -> Writer:
-        writer = Writer(
-            self._stream,
-            chunk_size=self.settings.chunk_bytes,
-            compression=_COMPRESSIONS[self.settings.compression],
-        )
+    @property
+    def failure(self) -> BagNotWritableError | None:
+        """Why nothing more can be written; None = all is well."""
+        return self._failure
+
+    def count(self, topic: str) -> int:
+        """Returns the messages of a topic taken so far."""
+        known = self._files.topics.get(topic)
+        return 0 if known is None else known.messages
+
+    def _take(self, known: RecordedTopic, data: bytes, log_ns: int, publish_ns: int) -> None:
+        if self._file_start_ns is None:
+            self._file_start_ns = log_ns
+        if known.latched:
+            known.last = (known.messages, publish_ns, data)
+        self._describe(known)
+        self._chunk.add(known.id, known.messages, log_ns, publish_ns, data)
+        known.messages += 1
+        if self._chunk.size >= self.settings.chunk_bytes:
+            self._seal()
+
+    def _describe(self, known: RecordedTopic) -> None:
+        """Puts a topic's description into the first chunk that needs it: a CRC covers it there."""
+        if known.id not in self._described:
+            self._described.add(known.id)
+            self._chunk.add_description(self._files.description(known))
+
+    def _seal(self) -> None:
+        if not self._chunk.empty:
+            chunk, self._chunk = self._chunk, ChunkBuilder()
+            self._files.add_chunk(chunk.seal(self._compression, self._compress))
+
+    def _is_split_due(self, log_time_ns: int) -> bool:
+        if self._file_start_ns is None:
+            return False
+        settings, size = self.settings, self._files.current.size_bytes
+        if 0 < settings.split_bytes <= size:
+            return True
+        age_s = (log_time_ns - self._file_start_ns) * 1e-9
+        return 0.0 < settings.split_s <= age_s
+
+    def _split(self, log_time_ns: int) -> None:
+        self._seal()
+        self._files.end_file()
+        self._files.open_next()
+        self._file_start_ns = None
+        self._described.clear()
+        for known in self._files.topics.values():
+            if known.last is not None:
+                # The same sequence number tells a reader that it is the same message.
+                sequence, publish_ns, data = known.last
+                self._describe(known)
+                self._chunk.add(known.id, sequence, log_time_ns, publish_ns, data)
+                self.repeated += 1
+                known.messages += 1
+
+    def _close(self) -> None:
         try:
-            writer.start(profile="ros2", library="skinplan")
-            writer.add_metadata(
-                RECORD_NAME, {"serialized_metadata": metadata_text(self._document())}
-            )
-            self._stream.flush()
-        except OSError as error:
-            raise self._failed(error) from error
-        return writer
-
-    def _register(self, topic: BagTopic) -> int:
-        key = (topic.type_name, topic.schema_text)
-        if key not in self._schemas:
-            self._schemas[key] = self._writer.register_schema(
-                topic.type_name, SchemaEncoding.ROS2, topic.schema_text.encode()
-            )
-        return self._writer.register_channel(
-            topic.name,
-            MessageEncoding.CDR,
-            self._schemas[key],
-            {"offered_qos_profiles": qos_text(topic.qos), "topic_type_hash": topic.type_hash},
+            if self._failure is None:
+                self._seal()
+        except BagNotWritableError as error:
+            self._failed(error)
+        try:
+            self._files.end()
+        finally:
+            self._files.current.close()
+        topics = self._files.topics.values()
+        self._summary = BagSummary(
+            folder=self.folder,
+            messages=self.messages,
+            bytes=self._files.bytes_done,
+            topics=sum(known.messages > known.lost for known in topics),
+            files=len(self._files.done),
+            repeated=self.repeated,
+            lost={known.topic.name: known.lost for known in topics if known.lost},
+            failure=self._failure,
         )
-
-    def _document(self) -> dict[str, object]:
-        messages = self.messages
-        file = FileFigures(self._path.name, messages, self._start_ns, self._end_ns)
-        topics = [
-            replace(channel.topic, messages=channel.messages) for channel in self._channels.values()
-        ]
-        return metadata_document([file], topics, self._custom_data, self.settings.ros_distro)
-
-    def _close(self) -> BagSummary:
-        document = self._document()
-        self._writer.flush()
-        self._writer.add_metadata(RECORD_NAME, {"serialized_metadata": metadata_text(document)})
-        self._writer.finish()
-        self._stream.flush()
-        os.fsync(self._stream.fileno())
-        write_metadata(self.folder, document)
-        used = sum(channel.messages > 0 for channel in self._channels.values())
-        self._summary = BagSummary(self.folder, self.messages, self._path.stat().st_size, used)
-        return self._summary
 
     def _flush_often(self) -> None:
         due = time.monotonic() + self.settings.flush_s
@@ -287,8 +322,8 @@ class BagWriter:
             due = time.monotonic() + self.settings.flush_s
             try:
                 self.flush()
-            except (BagNotWritableError, OSError, ValueError) as error:
-                _LOG.error("recording to %s: %s", self._path, error)
+            except BagNotWritableError as error:
+                _LOG.error("recording: %s", error)
                 return
 
     def _require_open(self) -> None:
@@ -297,25 +332,12 @@ class BagWriter:
         if self._summary is not None or self._stopped.is_set():
             raise BagNotWritableError(f"{self.folder} is closed; nothing more can be written")
 
-    def _failed(self, error: OSError) -> BagNotWritableError:
-        self._failure = BagNotWritableError(
-            f"{self.folder}: the bag can't be written ({error.strerror or error}); up to here "
-            f"{self.messages} messages"
-        )
+    def _failed(self, error: BagNotWritableError) -> BagNotWritableError:
+        """Keeps the first reason, with what the bag holds up to there."""
+        if self._failure is None:
+            # What is in memory goes down with it.
+            for known in self._files.topics.values():
+                known.lost += self._chunk.counts.get(known.id, 0)
+            self._chunk = ChunkBuilder()
+            self._failure = type(error)(f"{error}; up to here {self.messages} messages")
         return self._failure
-
-
-def _create(folder: Path) -> tuple[Path, BinaryIO]:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        if any(folder.iterdir()):
-            raise BagNotWritableError(
-                f"a bag in {folder} was asked for, but the folder is not empty; a new or empty "
-                "folder is accepted"
-            )
-        path = folder / f"{folder.name}_0.mcap"
-        return path, path.open("xb")
-    except OSError as error:
-        raise BagNotWritableError(
-            f"a bag in {folder} was asked for, but it can't be created ({error.strerror or error})"
-        ) from error

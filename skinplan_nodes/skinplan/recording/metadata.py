@@ -71,10 +71,22 @@ def metadata_text(document: Mapping[str, Any]) -> str:
 
 
 def write_metadata(folder: Path, document: Mapping[str, Any]) -> None:
-    """Writes ``metadata.yaml`` in one step."""
+    """Writes ``metadata.yaml`` in one step, and brings it to the disk.
+
+    Raises:
+        OSError: The disk does not take it; what was there before is still there.
+    """
     temporary = folder / f".{FILE_NAME}.{os.getpid()}"
-    temporary.write_text(metadata_text({"rosbag2_bagfile_information": document}), encoding="utf-8")
-    temporary.replace(folder / FILE_NAME)
+    text = metadata_text({"rosbag2_bagfile_information": document})
+    try:
+        with temporary.open("w", encoding="utf-8") as stream:
+            stream.write(text)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(folder / FILE_NAME)
+    except OSError:
+        temporary.unlink(missing_ok=True)
+        raise
 
 
 def read_metadata(folder: Path) -> dict[str, Any] | None:

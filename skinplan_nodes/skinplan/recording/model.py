@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from skinplan.errors import BagNotWritableError
 from skinplan.recording.qos import QosProfile
 
 
@@ -90,9 +91,17 @@ class BagSummary:
         messages: Messages written.
         bytes: Size of the storage files [B].
         topics: Topics with at least one message.
+        files: Storage files.
+        repeated: Latched messages written again at the head of files; part of ``messages``.
+        lost: Messages that the disk did not take, by topic.
+        failure: Why the recording ended early; None = it did not.
     """
 
     folder: Path
     messages: int
     bytes: int
     topics: int
+    files: int = 1
+    repeated: int = 0
+    lost: dict[str, int] = field(default_factory=dict)
+    failure: BagNotWritableError | None = None
