@@ -1,9 +1,8 @@
-"""One recording: subscribes every topic, hands the serialised messages to a writer thread."""
+"""One recording: subscribes the chosen topics, hands the serialised messages to a writer thread."""
 
-import threading
-from collections import deque
+import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,13 +18,15 @@ from rclpy.qos import (
 from rclpy.topic_endpoint_info import TopicEndpointInfo
 
 from skinplan.errors import BagNotWritableError
-from skinplan.recording.bag import BagWriter
+from skinplan.recording.bag import BagSettings, BagWriter
+from skinplan.recording.message_queue import MessageQueue, QueuedMessage
 from skinplan.recording.model import BagSummary
 from skinplan.recording.qos import INFINITE_NS
 from skinplan.recording.qos import QosProfile as RecordedQos
+from skinplan.recording.ring import SnapshotRing
 from skinplan.recording.schema import schema_with_dependencies
+from skinplan.recording.selection import TopicSelection
 from skinplan_nodes.conversions import raw_stamp_s
-from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.message_types import definition_text, message_class
 from skinplan_nodes.time_ack import TimeAck
 
@@ -34,105 +35,69 @@ _STEADY_TOPIC = "/joint_states"
 
 
 @dataclass(frozen=True)
-class _Item:
-    topic: str
-    data: bytes
-    time_ns: int
+class RecordingOrder:
+    """What is to be recorded, and how.
 
-
-class WriterThread:
-    """Writes messages to a bag in the background; what does not fit into its queue is dropped.
-
-    Args:
-        writer: The bag.
-        queue_bytes: So many bytes wait at most.
+    Attributes:
+        folder: Bag folder.
+        metadata: Facts about the run.
+        queue_bytes: So much waits for the disk at most [B].
+        settings: How the bag is written.
+        selection: Which topics.
+        snapshot_bytes: Memory of the snapshot mode [B]; 0 = everything goes to the disk at once.
+        snapshot_s: How far back a snapshot reaches [s]; 0 = as far as the memory does.
     """
 
-    def __init__(self, writer: BagWriter, queue_bytes: int) -> None:
-        self._writer = writer
-        self._most = queue_bytes
-        self._items: deque[_Item] = deque()
-        self._bytes = 0
-        self._changed = threading.Condition()
-        self._ended = False
-        self.dropped = 0
-        self.failure: BagNotWritableError | None = None
-        self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
-        self._thread.start()
-
-    def put(self, topic: str, data: bytes, time_ns: int) -> None:
-        """Takes a message."""
-        with self._changed:
-            if self._ended or self.failure or self._bytes + len(data) > self._most:
-                self.dropped += 1
-                return
-            self._items.append(_Item(topic, data, time_ns))
-            self._bytes += len(data)
-            self._changed.notify()
-
-    def finish(self) -> None:
-        """Writes what waits, and ends."""
-        with self._changed:
-            self._ended = True
-            self._changed.notify()
-        self._thread.join()
-
-    def _run(self) -> None:
-        while True:
-            with self._changed:
-                while not self._items and not self._ended:
-                    self._changed.wait()
-                if not self._items:
-                    return
-                item = self._items.popleft()
-                self._bytes -= len(item.data)
-            try:
-                self._writer.write(item.topic, item.data, item.time_ns)
-            except BagNotWritableError as error:
-                self.failure = error
-                with self._changed:
-                    self.dropped += 1 + len(self._items)
-                    self._items.clear()
-                    self._bytes = 0
+    folder: Path
+    metadata: Mapping[str, str]
+    queue_bytes: int
+    settings: BagSettings = field(default_factory=BagSettings)
+    selection: TopicSelection = field(default_factory=TopicSelection)
+    snapshot_bytes: int = 0
+    snapshot_s: float = 0.0
 
 
 class RecordingSession:
-    """Records every topic of the graph into one bag.
+    """Records topics of the graph into one bag.
 
     Args:
         node: The node that subscribes.
-        folder: Bag folder.
-        metadata: Facts about the run.
-        queue_bytes: So many bytes wait for the disk at most.
+        order: What is to be recorded.
         group: Callback group of the subscriptions.
         ack: Tells the clock how far the recording has come.
 
     Raises:
         BagNotWritableError: The folder is not empty, or can't be created.
+        DiskFullError: The disk has too little left.
     """
 
     def __init__(
-        self,
-        node: Node,
-        folder: Path,
-        metadata: Mapping[str, str],
-        queue_bytes: int,
-        group: CallbackGroup,
-        ack: TimeAck,
+        self, node: Node, order: RecordingOrder, group: CallbackGroup, ack: TimeAck
     ) -> None:
         self._node = node
+        self._ack = ack
         self._group = group
-        self._bag = BagWriter(folder, metadata)
-        self._thread = WriterThread(self._bag, queue_bytes)
-        self._subscriptions: dict[str, tuple[QoSProfile, Any]] = {}
+        self._selection = order.selection
+        self._bag = BagWriter(order.folder, order.metadata, order.settings)
+        self._queue = MessageQueue(self._bag, order.queue_bytes)
+        self._ring: SnapshotRing | None = None
+        if order.snapshot_bytes:
+            self._ring = SnapshotRing(order.snapshot_bytes, order.snapshot_s)
+        self._snapshots = 0
+        self._subscriptions: dict[str, tuple[QoSProfile, Any, int]] = {}
         self._refused: set[str] = set()
         self._last_ns = 0
-        self._ack = ack
+        self.dropped_topics: dict[str, int] = {}
+
+    @property
+    def folder(self) -> Path:
+        """Bag folder."""
+        return self._bag.folder
 
     @property
     def dropped(self) -> int:
         """Messages dropped so far."""
-        return self._thread.dropped
+        return sum([*(self.dropped_topics or self._queue.dropped).values()])
 
     @property
     def topics(self) -> int:
@@ -142,72 +107,143 @@ class RecordingSession:
     @property
     def failure(self) -> BagNotWritableError | None:
         """Why nothing more can be written; None = all is well."""
-        return self._thread.failure
+        return self._bag.failure
+
+    def figures(self) -> dict[str, Any]:
+        """Returns how the recording is going, for the diagnostics."""
+        worst = sorted(self._queue.dropped.items(), key=lambda item: -item[1])[:5]
+        return {
+            "messages": self._bag.messages,
+            "topics": self.topics,
+            "dropped": self.dropped,
+            "dropped_topics": ", ".join(f"{topic}: {count}" for topic, count in worst),
+            "waiting_bytes": self._queue.waiting_bytes,
+        }
 
     def discover(self) -> None:
         """Subscribes topics that are new, and anew where publishers offer less than before."""
         for topic, types in self._node.get_topic_names_and_types():
-            if topic in self._refused or _is_left_out(topic):
+            if topic in self._refused or not self._selection.takes(topic, types[0]):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
             if not publishers:
                 continue
             known = self._subscriptions.get(topic)
             wanted = matching_qos(publishers)
-            if known is not None and known[0] == wanted:
+            if known is not None and (known[0], known[2]) == (wanted, len(publishers)):
                 continue
             try:
                 self._subscribe(topic, types[0], publishers, wanted)
             except (LookupError, BagNotWritableError) as error:
+                if self.failure is not None:
+                    return
                 self._refused.add(topic)
                 self._node.get_logger().warning(f"topic {topic} is not recorded: {error}")
+
+    def split(self) -> Path:
+        """Begins the next file.
+
+        Returns:
+            The file that was closed.
+
+        Raises:
+            BagNotWritableError: The disk does not take it.
+        """
+        return self._bag.split(self._last_ns)
+
+    def snapshot(self) -> tuple[int, float]:
+        """Writes the last messages to the bag; each further snapshot begins a file.
+
+        Returns:
+            Number of messages, and the time that they span [s].
+
+        Raises:
+            BagNotWritableError: This is no recording in snapshot mode, or the disk is full.
+        """
+        if self._ring is None:
+            raise BagNotWritableError(
+                f"a snapshot was asked for, but everything is recorded to {self.folder} at once; "
+                "recorder/start with snapshot begins a recording in snapshot mode"
+            )
+        messages = self._ring.take()
+        if messages and self._snapshots:
+            self.split()
+        self._snapshots += bool(messages)
+        self._queue.put_all(messages)
+        span_ns = messages[-1].log_time_ns - messages[0].log_time_ns if messages else 0
+        return len(messages), span_ns * 1e-9
 
     def finish(self) -> BagSummary:
         """Ends the subscriptions, writes what waits, closes the bag.
 
         Raises:
-            BagNotWritableError: The disk did not take everything.
+            BagNotWritableError: Not even the end of the bag could be written.
         """
-        for _, subscription in self._subscriptions.values():
+        for _, subscription, _ in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._ack.idle()
-        self._thread.finish()
-        return self._bag.finish()
+        self._queue.finish()
+        self.dropped_topics = dict(self._queue.dropped)
+        if self.dropped_topics:
+            text = ", ".join(f"{topic}: {n}" for topic, n in sorted(self.dropped_topics.items()))
+            self._bag.note("dropped", text)
+        summary = self._bag.finish()
+        for topic, count in summary.lost.items():
+            self.dropped_topics[topic] = self.dropped_topics.get(topic, 0) + count
+        return summary
 
     def _subscribe(
         self, topic: str, type_name: str, publishers: list[TopicEndpointInfo], qos: QoSProfile
     ) -> None:
         kind = message_class(type_name)
-        known = self._subscriptions.pop(topic, None)
-        if known is not None:
-            self._node.destroy_subscription(known[1])
+        offered = [recorded_qos(info.qos_profile) for info in publishers]
         self._bag.add_topic(
             topic,
             type_name,
             schema_with_dependencies(type_name, definition_text),
             str(publishers[0].topic_type_hash),
-            [recorded_qos(info.qos_profile) for info in publishers],
+            offered,
         )
-        self._subscriptions[topic] = (
-            qos,
-            subscribe_draining(
-                self._node, kind, topic, self._taker(topic), qos, self._group, raw=True
-            ),
+        if self._ring is not None and any(profile.latched for profile in offered):
+            self._ring.latch(topic)
+        known = self._subscriptions.get(topic)
+        if known is not None and known[0] == qos:
+            # Another publisher of the same kind: the subscription serves it, too.
+            self._subscriptions[topic] = (qos, known[1], len(publishers))
+            return
+        if known is not None:
+            self._node.destroy_subscription(known[1])
+        subscription = self._node.create_subscription(
+            kind, topic, self._taker(topic), qos, raw=True, callback_group=self._group
         )
+        self._subscriptions[topic] = (qos, subscription, len(publishers))
 
-    def _taker(self, topic: str) -> Callable[[bytes], None]:
+    def _taker(self, topic: str) -> Callable[[bytes, Any], None]:
         clock = self._node.get_clock()
+        on_cell_clock = bool(clock.ros_time_is_active)
+        put = self._put
         # The most frequent topic tells how far this node has come.
         steady = topic.endswith(_STEADY_TOPIC)
 
-        def take(data: bytes) -> None:
+        def take(data: bytes, info: Any) -> None:
             if steady:
                 self._ack.reached(raw_stamp_s(data))
+            if on_cell_clock:
+                # What the publisher's time was on the cell's clock nobody says.
+                now_ns = published_ns = clock.now().nanoseconds
+            else:
+                now_ns, published_ns = time.time_ns(), info["source_timestamp"]
             # The order of receipt is kept even when the cell's clock is set back.
-            self._last_ns = max(self._last_ns, clock.now().nanoseconds)
-            self._thread.put(topic, data, self._last_ns)
+            self._last_ns = max(self._last_ns, now_ns)
+            put(topic, data, self._last_ns, published_ns if published_ns > 0 else self._last_ns)
 
         return take
+
+    def _put(self, topic: str, data: bytes, log_time_ns: int, publish_time_ns: int) -> None:
+        if self._ring is None:
+            self._queue.put(topic, data, log_time_ns, publish_time_ns)
+        else:
+            self._ring.add(QueuedMessage(topic, data, log_time_ns, publish_time_ns))
 
 
 def matching_qos(publishers: list[TopicEndpointInfo]) -> QoSProfile:
@@ -261,12 +297,3 @@ def offered_qos(recorded: RecordedQos) -> QoSProfile:
 
 def _name(policy: Any) -> str:
     return str(policy.short_key)
-
-
-def _is_left_out(topic: str) -> bool:
-    """Tells whether a topic is not for the bag.
-
-    ROS hides those of actions, ``ros2 bag`` leaves them out, too; what only a simulation can know
-    is for no node of the cell.
-    """
-    return any(part.startswith("_") or part == "truth" for part in topic.split("/"))

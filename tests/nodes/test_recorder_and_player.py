@@ -61,7 +61,7 @@ def texts(folder: Path, topic: str) -> list[str]:
 def wait_for_messages(bench: Bench, recorder: RunRecorder, topic: str, count: int) -> None:
     """Waits until so many messages of a topic went to the bag."""
     bag = recorder._session._bag
-    bench.wait(lambda: topic in bag.topics and bag._channels[topic].messages >= count)
+    bench.wait(lambda: bag.count(topic) >= count)
 
 
 def test_every_topic_is_recorded_with_type_hash_qos_and_definition(

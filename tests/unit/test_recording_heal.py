@@ -218,6 +218,7 @@ def test_a_killed_recorder_loses_less_than_a_second(tmp_path: Path, compression:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1500)
 def test_two_hundred_killed_recorders_lose_less_than_a_second_each(tmp_path: Path) -> None:
     rng = random.Random(5)
     for number in range(200):

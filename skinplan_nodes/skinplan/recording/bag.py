@@ -138,7 +138,7 @@ class BagWriter:
 
         Raises:
             BagNotWritableError: The topic is unknown, the time is negative, the bag is closed, or
-                the disk does not take it.
+                the disk does not take it: then it counts as lost.
         """
         published = log_time_ns if publish_time_ns is None else publish_time_ns
         if log_time_ns < 0 or published < 0:
@@ -146,8 +146,11 @@ class BagWriter:
                 f"{topic}: a time from 0 is accepted, found {log_time_ns} and {published} ns"
             )
         with self._lock:
-            self._require_open()
             known = self._files.topics.get(topic)
+            if self._failure is not None and known is not None:
+                known.messages += 1
+                known.lost += 1
+            self._require_open()
             if known is None:
                 raise BagNotWritableError(
                     f"topic {topic} was not announced; known are "
@@ -156,6 +159,11 @@ class BagWriter:
             try:
                 if self._is_split_due(log_time_ns):
                     self._split(log_time_ns)
+            except BagNotWritableError as error:
+                known.messages += 1
+                known.lost += 1
+                raise self._failed(error) from error
+            try:
                 self._take(known, data, log_time_ns, published)
             except BagNotWritableError as error:
                 raise self._failed(error) from error
