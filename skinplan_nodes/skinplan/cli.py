@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skinplan import console
+from skinplan.bag_command import bag_app
 from skinplan.cell_run import CellRun, RunRequest
 from skinplan.commands.calibrate import calibrate_camera
 from skinplan.commands.markers import markers
@@ -45,6 +46,7 @@ app.command()(markers)
 app.command("calibrate")(calibrate_camera)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
+app.add_typer(bag_app, name="bag")
 
 PartArgument = Annotated[
     str,
