@@ -281,7 +281,7 @@ class BagWriter:
     def _is_split_due(self, log_time_ns: int) -> bool:
         if self._file_start_ns is None:
             return False
-        settings, size = self.settings, self._files.current.size_bytes
+        settings, size = self.settings, self._files.content_bytes
         if 0 < settings.split_bytes <= size:
             return True
         age_s = (log_time_ns - self._file_start_ns) * 1e-9

@@ -82,6 +82,11 @@ class BagFiles:
         """The file that is written."""
         return self._file
 
+    @property
+    def content_bytes(self) -> int:
+        """What was written to the current file behind its descriptions [B]."""
+        return self._file.size_bytes - self._head_bytes
+
     def open_next(self) -> None:
         """Begins a file, with all topics known so far.
 
@@ -97,6 +102,7 @@ class BagFiles:
             self._add_record(self._document())
             for known in self.topics.values():
                 self._describe(known)
+            self._head_bytes = self._file.size_bytes
         except OSError as error:
             raise write_error(path, error) from error
 

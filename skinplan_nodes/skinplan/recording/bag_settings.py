@@ -13,7 +13,8 @@ class BagSettings:
         flush_s: A chunk is closed and brought to the disk when it is older than this, wall time
             [s].
         ros_distro: Name of the ROS distribution whose types are recorded.
-        split_bytes: The next file begins when one is larger than this [B]; 0 = never.
+        split_bytes: The next file begins when one holds more than this behind its descriptions [B];
+            0 = never.
         split_s: The next file begins when one holds more than this, log time [s]; 0 = never.
         least_free_bytes: So much stays free on the disk [B].
     """
