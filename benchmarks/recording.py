@@ -1,7 +1,9 @@
-"""Recording: how fast bags are written and read, beside rosbags in the same run.
+"""Recording: how fast bags are written and read, beside others in the same run.
 
-Run as ``python benchmarks/recording.py``; prints a table. Both write serialised messages into MCAP,
-with zstd or without, and both read them back.
+Run as ``python benchmarks/recording.py``; prints a table. skinplan and rosbags write serialised
+messages into MCAP, with zstd or without, and read them back. mcap-ros2-support has no writer of
+serialised messages: it encodes each one, and nothing else is asked of it. Only ours brings the
+file to the disk, twice a second and at the end, and its time includes that.
 """
 
 import argparse
@@ -13,6 +15,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
+from mcap.reader import make_reader
+from mcap.writer import CompressionType
+from mcap_ros2.writer import Writer as McapRos2Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
 from skinplan.recording.bag import BagSettings, BagWriter
@@ -46,6 +51,25 @@ def theirs(folder: Path, data: bytes, count: int, compression: str) -> None:
             writer.write(connection, 1000 + i, data)
 
 
+def encoded(folder: Path, data: bytes, count: int, compression: str) -> None:
+    """Writes with mcap-ros2-support, which encodes each message."""
+    folder.mkdir()
+    kind = CompressionType.ZSTD if compression == "zstd" else CompressionType.NONE
+    with (folder / "bag_0.mcap").open("wb") as stream:
+        writer = McapRos2Writer(stream, compression=kind)
+        schema = writer.register_msgdef(TYPE, SCHEMA)
+        text = {"data": data[8:-1].decode()}
+        for i in range(count):
+            writer.write_message(TOPIC, schema, text, 1000 + i, 1000 + i)
+        writer.finish()
+
+
+def read_with_mcap(folder: Path) -> int:
+    """Reads with Foxglove's reader, without decoding; returns the bytes."""
+    with (folder / "bag_0.mcap").open("rb") as stream:
+        return sum(len(message.data) for _, _, message in make_reader(stream).iter_messages())
+
+
 def read_ours(folder: Path) -> int:
     """Reads with our reader; returns the bytes."""
     return sum(len(m.data) for m in read_messages(open_bag(folder)))
@@ -76,17 +100,21 @@ def main() -> None:
         ("100 B, zstd", 100, options.small, "zstd"),
         ("100 B, none", 100, options.small, "none"),
     ]
-    print(f"{'messages':<12} {'':<8} {'write':>12} {'read':>12} {'write':>14} {'file':>9}")
+    print(f"{'messages':<12} {'':<9} {'write':>12} {'read':>12} {'write':>14} {'file':>9}")
     for name, size, count, compression in cases:
         data = message(size)
-        for who, write, read in (("skinplan", ours, read_ours), ("rosbags", theirs, read_theirs)):
+        for who, write, read in (
+            ("skinplan", ours, read_ours),
+            ("rosbags", theirs, read_theirs),
+            ("mcap-ros2", encoded, read_with_mcap),
+        ):
             folder = Path(tempfile.mkdtemp()) / "bag"
             written = timed(lambda: write(folder, data, count, compression))  # noqa: B023
             size_mb = sum(f.stat().st_size for f in folder.iterdir()) / 1e6
             done = timed(lambda: read(folder))  # noqa: B023
             total = len(data) * count / 1e6
             print(
-                f"{name:<12} {who:<8} {total / written:>7.0f} MB/s {total / done:>7.0f} MB/s "
+                f"{name:<12} {who:<9} {total / written:>7.0f} MB/s {total / done:>7.0f} MB/s "
                 f"{count / written:>10,.0f} /s {size_mb:>6.0f} MB"
             )
             shutil.rmtree(folder.parent)
