@@ -27,7 +27,7 @@ from skinplan.recording.heal_metadata import (
     recorded_document,
 )
 from skinplan.recording.heal_report import HealedFile, HealReport
-from skinplan.recording.mcap_file import FileIndex, read_index
+from skinplan.recording.mcap_file import FileIndex, iterate, read_index
 from skinplan.recording.mcap_output import McapOutput
 from skinplan.recording.metadata import (
     FILE_NAME,
@@ -104,7 +104,10 @@ def _heal_file(path: Path, thorough: bool) -> HealedFile:
         _require_mcap(path, source)
         if _ends_in_order(path) and not (thorough and _is_damaged(source)):
             try:
-                return _in_order(path, read_index(path), source.size)
+                index = read_index(path)
+                if thorough:
+                    _read_all(index)
+                return _in_order(path, index, source.size)
             except BagInvalidError:
                 pass  # closed, but its index can't be used
         return _healed(path, source)
@@ -152,7 +155,17 @@ def _ends_in_order(path: Path) -> bool:
 
 
 def _is_damaged(source: Source) -> bool:
-    return any(found.opcode == 0 or found.cut for found in walk(source))
+    return any(found.opcode == 0 or found.cut or found.mended for found in walk(source))
+
+
+def _read_all(index: FileIndex) -> None:
+    """Reads a file to its end: in a chunk without a CRC nothing else tells that it is damaged.
+
+    Raises:
+        BagInvalidError: It can't be read.
+    """
+    for _ in iterate(index, None, None):
+        pass
 
 
 def _in_order(path: Path, index: FileIndex, size: int) -> HealedFile:
@@ -178,8 +191,9 @@ def _healed(path: Path, source: Source) -> HealedFile:
         temporary.replace(path)
         sync_folder(path.parent)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise write_error(path, error) from error
+    finally:
+        temporary.unlink(missing_ok=True)
     return result
 
 
@@ -222,6 +236,9 @@ def _add_record(output: McapOutput, done: Salvaged, result: HealedFile) -> None:
 
 
 def _rebuild(folder: Path, healed: list[HealedFile]) -> bool:
+    for left in folder.glob(f".{FILE_NAME}.*"):
+        # Of a closing that was cut off: every file was locked before, so nobody writes it now.
+        left.unlink(missing_ok=True)
     files = [file.path for file in healed]
     sentences = [file.sentence() for file in healed if file.healed]
     if not sentences and metadata_fits(folder, files):

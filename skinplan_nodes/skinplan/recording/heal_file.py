@@ -20,6 +20,7 @@ from skinplan.recording.chunk import (
 from skinplan.recording.mcap_output import McapOutput
 from skinplan.recording.qos import qos_profiles
 from skinplan.recording.salvage import (
+    DAMAGE,
     LARGEST_DESCRIPTION,
     ChunkHead,
     Found,
@@ -93,6 +94,7 @@ class Salvage:
         self._channels: dict[int, Channel] = {}
         self._waiting: list[Found] = []
         self._loose = ChunkBuilder()
+        self._undecodable = 0
         self.result = Salvaged()
 
     def run(self) -> Salvaged:
@@ -154,6 +156,7 @@ class Salvage:
         if head is None:
             return False
         index = MessageIndex()
+        damaged = self._undecodable
         for record in self._records(head, with_data=False):
             if record.opcode == Opcode.MESSAGE:
                 channel, _, log_time_ns, _ = _MESSAGE.unpack_from(record.data)
@@ -161,6 +164,9 @@ class Salvage:
         counts = index.counts
         if not counts:
             return True
+        if self._undecodable > damaged:
+            # As it is it would stop every reader: its messages are taken one by one.
+            return False
         if not all(self._describe(channel) for channel in counts):
             return False
         start = chunk_head(
@@ -196,7 +202,11 @@ class Salvage:
         """Iterates over the records of a chunk, and learns what they describe."""
         for record in _parsed(raw_records(self._source, head), with_data):
             if record.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._learn(record.opcode, record.data, covered=True)
+                try:
+                    self._learn(record.opcode, record.data, covered=head.crc != 0)
+                except DAMAGE:
+                    # A chunk without a CRC: nothing else tells that it is damaged.
+                    self._undecodable += 1
             yield record
 
     def _add_loose(self, data: bytes, found: Found) -> None:

@@ -38,7 +38,8 @@ MAGIC = b"\x89MCAP0\r\n"
 #: A description larger than this is damage.
 LARGEST_DESCRIPTION = 64 * 2**20
 BLOCK_BYTES = 2**20
-_DAMAGE = (McapError, struct.error, ValueError, LookupError, EOFError, OverflowError)
+#: What the parsers of damaged records raise.
+DAMAGE = (McapError, struct.error, ValueError, LookupError, EOFError, OverflowError)
 _DECODING = (zstandard.ZstdError, RuntimeError, ValueError, EOFError)
 _HEAD = struct.Struct("<BQ")
 _CHUNK = struct.Struct("<QQQI")
@@ -136,12 +137,14 @@ class Found:
         size: Its size [B].
         opcode: Of an intact record; 0 = damage; of a record that the end of the file cuts off.
         cut: The end of the file cuts it off.
+        mended: A chunk whose head is damaged, but whose CRC proves its records.
     """
 
     place: int
     size: int
     opcode: int
     cut: bool = False
+    mended: bool = False
 
 
 def chunk_head(source: Source, place: int) -> ChunkHead | None:
@@ -155,11 +158,13 @@ def chunk_head(source: Source, place: int) -> ChunkHead | None:
     (name_size,) = struct.unpack_from("<I", data, at)
     name = data[at + 4 : at + 4 + name_size]
     at += 4 + name_size
-    if opcode != Opcode.CHUNK or name not in (b"", b"zstd", b"lz4") or len(data) < at + 8:
+    if name not in (b"", b"zstd", b"lz4") or len(data) < at + 8:
         return None
     (stored,) = struct.unpack_from("<Q", data, at)
     at += 8
-    if at - _HEAD.size + stored != length or start > end:
+    whole = opcode == Opcode.CHUNK and at - _HEAD.size + stored == length and start <= end
+    # A damaged opcode, length or time is of no account where the CRC proves the records.
+    if not whole and (crc == 0 or place + at + stored > source.size):
         return None
     return ChunkHead(start, end, raw, crc, name.decode(), place + at, stored)
 
@@ -222,6 +227,11 @@ def walk(source: Source) -> Iterator[Found]:
             yield Found(place, size, source.read(place, 1)[0])
             place += size
             continue
+        size = _proven_chunk(source, place)
+        if size is not None:
+            yield Found(place, size, int(Opcode.CHUNK), mended=True)
+            place += size
+            continue
         following = _next_chunk(source, place + 1)
         cut = following is None and _is_cut(source, place)
         end = source.size if following is None else following
@@ -239,7 +249,7 @@ def _intact(source: Source, place: int) -> int | None:
         return None
     try:
         good = _checked(source, place, opcode, length)
-    except _DAMAGE:
+    except DAMAGE:
         return None
     return _HEAD.size + length if good else None
 
@@ -247,7 +257,10 @@ def _intact(source: Source, place: int) -> int | None:
 def _checked(source: Source, place: int, opcode: int, length: int) -> bool:
     if opcode == Opcode.CHUNK:
         found = chunk_head(source, place)
-        return found is not None and sum(map(len, raw_records(source, found))) >= 0
+        if found is None or found.start_ns > found.end_ns:
+            return False
+        whole = found.place + found.stored_bytes == place + _HEAD.size + length
+        return whole and sum(map(len, raw_records(source, found))) >= 0
     body = place + _HEAD.size
     if opcode == Opcode.MESSAGE_INDEX:
         return length >= 6 and struct.unpack("<I", source.read(body + 2, 4))[0] == length - 6
@@ -258,6 +271,19 @@ def _checked(source: Source, place: int, opcode: int, length: int) -> bool:
     stream = ReadDataStream(BytesIO(source.read(body, length)))
     _KINDS[opcode].read(stream)
     return bool(stream.count == length)
+
+
+def _proven_chunk(source: Source, place: int) -> int | None:
+    """Returns the size of a chunk whose head is damaged, but whose records are as its CRC says."""
+    head = chunk_head(source, place)
+    if head is None or head.crc == 0 or head.place + head.stored_bytes > source.size:
+        return None
+    try:
+        for _ in raw_records(source, head):
+            pass
+    except ValueError:
+        return None
+    return head.place + head.stored_bytes - place
 
 
 def _is_cut(source: Source, place: int) -> bool:
