@@ -156,15 +156,16 @@ class Salvage:
         if head is None:
             return False
         index = MessageIndex()
-        damaged = self._undecodable
+        damaged, end = self._undecodable, 0
         for record in self._records(head, with_data=False):
+            end = record.place + record.length
             if record.opcode == Opcode.MESSAGE:
                 channel, _, log_time_ns, _ = _MESSAGE.unpack_from(record.data)
                 index.add(channel, log_time_ns, record.place)
         counts = index.counts
         if not counts:
             return True
-        if self._undecodable > damaged:
+        if self._undecodable > damaged or (head.crc == 0 and end != head.raw_bytes):
             # As it is it would stop every reader: its messages are taken one by one.
             return False
         if not all(self._describe(channel) for channel in counts):
