@@ -1,4 +1,4 @@
-"""Damage of every kind, in our bags and in those of others: what is lost is bounded, and never silent."""
+"""Damage of every kind, in bags of all: what is lost is bounded, and never silent."""
 
 import random
 import shutil

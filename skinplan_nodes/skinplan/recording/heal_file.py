@@ -22,6 +22,7 @@ from skinplan.recording.qos import qos_profiles
 from skinplan.recording.salvage import (
     DAMAGE,
     LARGEST_DESCRIPTION,
+    MAGIC,
     ChunkHead,
     Found,
     Source,
@@ -95,6 +96,9 @@ class Salvage:
         self._waiting: list[Found] = []
         self._loose = ChunkBuilder()
         self._undecodable = 0
+        # A file that was closed: what is missing at its end was damaged, not cut off.
+        end = max(len(MAGIC), source.size - len(MAGIC))
+        self._closed = source.read(end, len(MAGIC)) == MAGIC
         self.result = Salvaged()
 
     def run(self) -> Salvaged:
@@ -125,7 +129,7 @@ class Salvage:
         elif found.opcode == 0 or found.cut:
             if found.opcode not in _REBUILT:
                 self.result.bytes_lost += found.size
-            if not found.cut and found.place + found.size < self._source.size:
+            if self._closed or (not found.cut and found.place + found.size < self._source.size):
                 self.result.damaged.append((found.place, found.size))
         elif found.opcode == Opcode.ATTACHMENT:
             self._copy_attachment(found)
