@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from rclpy.callback_groups import CallbackGroup
+from rclpy.exceptions import InvalidHandle
 from rclpy.node import Node
 from rclpy.qos import (
     QoSDurabilityPolicy,
@@ -222,7 +223,11 @@ class RecordingSession:
             take(data, info)
             # What waits behind it, without the executor's round for each message.
             for _ in range(_MOST_AT_ONCE):
-                found = subscription.handle.take_message(kind, True)
+                try:
+                    with subscription.handle:
+                        found = subscription.handle.take_message(kind, True)
+                except InvalidHandle:
+                    return
                 if found is None:
                     return
                 take(*found)

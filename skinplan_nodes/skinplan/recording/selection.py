@@ -17,8 +17,8 @@ class TopicSelection:
         exclude_topics: Names left out, whatever else takes them.
         exclude_pattern: Regular expression of names left out; empty = none.
         exclude_types: Types left out.
-        include_hidden: Take topics with a part that begins with ``_`` as well; a hidden topic that
-            ``topics`` names is taken without.
+        include_hidden: Take topics with a part that begins with ``_`` or is ``truth`` as well; a
+            hidden topic that ``topics`` names is taken without.
     """
 
     topics: tuple[str, ...] = ()
@@ -60,8 +60,12 @@ class TopicSelection:
 
 
 def is_hidden(topic: str) -> bool:
-    """Tells whether ROS hides a topic (of actions); ``ros2 bag`` leaves those out, too."""
-    return any(part.startswith("_") for part in topic.split("/"))
+    """Tells whether a topic is not for the bag unless somebody asks for it.
+
+    ROS hides those of actions, ``ros2 bag`` leaves them out, too; what only a simulation can know
+    (``truth/``) is for no node of the cell.
+    """
+    return any(part.startswith("_") or part == "truth" for part in topic.split("/"))
 
 
 def _absolute(name: str) -> str:
