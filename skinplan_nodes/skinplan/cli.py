@@ -15,6 +15,7 @@ from skinplan.bag_command import bag_app
 from skinplan.cell_run import CellRun, RunRequest
 from skinplan.commands.calibrate import calibrate_camera
 from skinplan.commands.markers import markers
+from skinplan.commands.replay import replay
 from skinplan.contact.command import contact
 from skinplan.errors import InputError, MeshError, PartNotFoundError
 from skinplan.inspection.gaps import seen_points
@@ -27,8 +28,6 @@ from skinplan.part.resolve import resolve_part
 from skinplan.part.samples import SAMPLE_TITLES, SAMPLES, write_sample
 from skinplan.pipeline import STAGES, Plan, check_strategies, plan_part
 from skinplan.plan_record import write_json
-from skinplan.recording.reader import open_bag
-from skinplan.replay_run import replay_bag
 from skinplan.robot.cell import CellConfig, load_cell
 from skinplan.summary_rows import plan_rows, run_rows
 
@@ -43,6 +42,7 @@ app = typer.Typer(
 )
 app.command()(contact)
 app.command()(markers)
+app.command()(replay)
 app.command("calibrate")(calibrate_camera)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
@@ -264,46 +264,6 @@ def run(
         if not outcome.ended:
             console.stderr.print(f"[bold red]skinplan:[/] {outcome.error}", soft_wrap=True)
             raise typer.Exit(console.EXIT_FAILED)
-
-
-@app.command()
-def replay(
-    bag: Annotated[Path, typer.Argument(help="Folder of a bag, or an MCAP file.")],
-    rate: Annotated[
-        float, typer.Option(min=0.01, max=100.0, help="Times faster than recorded.")
-    ] = 1.0,
-    start_s: Annotated[
-        float, typer.Option("--start", min=0.0, help="Begin at this offset [s].")
-    ] = 0.0,
-    info: Annotated[bool, typer.Option("--info", help="Only say what is in the bag.")] = False,
-    as_json: JsonOption = False,
-) -> None:
-    """Play a bag into the graph of this machine, with its clock."""
-    with console.command(as_json):
-        found = open_bag(bag)
-        document: dict[str, Any] = {
-            "bag": str(bag),
-            "duration_s": found.duration_s,
-            "messages": found.messages,
-            "topics": [
-                {"topic": topic.name, "type": topic.type_name, "messages": topic.messages}
-                for topic in found.topics
-            ],
-        }
-        if start_s > found.duration_s:
-            raise InputError(
-                f"replay was asked to start at {start_s:g} s, the bag is "
-                f"{found.duration_s:.1f} s long; an offset within it is accepted"
-            )
-        if not as_json:
-            rows = [(t["topic"], t["type"], t["messages"]) for t in document["topics"]]
-            console.print_table(
-                f"{bag}: {found.duration_s:.1f} s", ("topic", "type", "messages"), rows
-            )
-        if not info:
-            document["played"] = replay_bag(bag, rate, start_s)
-        if as_json:
-            console.print_json(document)
 
 
 @app.command()

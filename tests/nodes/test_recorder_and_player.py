@@ -218,12 +218,12 @@ def test_player_services(bench: Bench, bag: Path) -> None:
 
     assert trigger("resume") == "playing"
     bench.wait(lambda: [m.data for m in said] == ["0"])
-    assert trigger("toggle") == "paused"
+    assert trigger("toggle_paused") == "paused"
     seek = bench.call(PlayerSeek, "player/seek", PlayerSeek.Request(offset=1.95))
     assert seek.status.code == Status.OK
     rate = bench.call(PlayerSetRate, "player/set_rate", PlayerSetRate.Request(rate=1.0))
     assert rate.status.code == Status.OK
-    assert trigger("toggle") == "playing"
+    assert trigger("toggle_paused") == "playing"
     bench.wait(lambda: [m.data for m in said] == ["0", "20"])
     bench.wait(player.asked_to_end.is_set)
 
