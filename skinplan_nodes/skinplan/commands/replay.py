@@ -13,6 +13,10 @@ from skinplan.recording.qos_overrides import read_overrides
 from skinplan.recording.reader import open_bag
 from skinplan.recording.topic_filter import TopicFilter
 from skinplan.replay_run import ParameterValue, replay_bag
+from skinplan.verify_run import verify_run
+
+# Differences of a stage that are shown in the table; --json has all.
+_MOST_SHOWN = 5
 
 
 def replay(
@@ -66,6 +70,20 @@ def replay(
             "--wait-acked", min=-1.0, help="Wait at the end for subscribers [s]; -1 = on."
         ),
     ] = 2.0,
+    verify: Annotated[
+        bool,
+        typer.Option("--verify", help="Feed a run's inputs to the nodes again; compare results."),
+    ] = False,
+    part: Annotated[
+        Path | None, typer.Option(help="With --verify: part file in the place of the recorded one.")
+    ] = None,
+    cell: Annotated[
+        Path | None, typer.Option(help="With --verify: cell file; without it the default cell.")
+    ] = None,
+    change: Annotated[
+        list[str] | None,
+        typer.Option("--set", help="With --verify: node.parameter=value; repeatable."),
+    ] = None,
     info: Annotated[bool, typer.Option("--info", help="Only say what is in the bag.")] = False,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document on stdout.")
@@ -74,6 +92,11 @@ def replay(
     """Play a bag into the graph of this machine, with its clock."""
     with console.command(as_json):
         found = open_bag(bag)
+        if verify:
+            _show_verified(verify_run(bag, part, cell, change or ()), as_json)
+            return
+        if part or cell or change:
+            raise InputError("--part, --cell and --set were given; they are accepted with --verify")
         chosen = TopicFilter(tuple(topic or ()), regex, tuple(exclude or ()), exclude_regex)
         chosen.require_known(known.name for known in found.topics)
         if qos_overrides is not None:
@@ -108,6 +131,30 @@ def replay(
             document["played"] = replay_bag(bag, parameters, remap or ())
         if as_json:
             console.print_json(document)
+
+
+def _show_verified(document: dict[str, Any], as_json: bool) -> None:
+    """Prints how each stage compares; ends with code 1 when one differs."""
+    if as_json:
+        console.print_json(document)
+    else:
+        rows = [
+            (
+                stage["name"],
+                stage["compared"],
+                len(stage["differences"]) or "identical" if stage["compared"] else "-",
+                "\n".join([*stage["differences"][:_MOST_SHOWN], *stage["notes"]]),
+            )
+            for stage in document["stages"]
+        ]
+        header = ("stage", "compared", "differences", "first of them, notes")
+        console.print_table(f"Verification of {document['bag']}", header, rows)
+    if not document["identical"]:
+        first = document["first_difference"]
+        console.stderr.print(f"[bold red]skinplan:[/] the first stage that differs: {first}")
+        raise typer.Exit(console.EXIT_FAILED)
+    if not as_json:
+        typer.echo("identical")
 
 
 def _texts(given: Iterable[str] | None) -> list[str]:
