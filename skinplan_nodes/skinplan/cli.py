@@ -12,6 +12,7 @@ import typer
 
 from skinplan import console
 from skinplan.bag_command import bag_app
+from skinplan.bag_export_command import export
 from skinplan.cell_run import CellRun, RunRequest
 from skinplan.commands.calibrate import calibrate_camera
 from skinplan.commands.markers import markers
@@ -47,6 +48,7 @@ app.command("calibrate")(calibrate_camera)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
 app.add_typer(bag_app, name="bag")
+bag_app.command("export")(export)
 
 PartArgument = Annotated[
     str,
