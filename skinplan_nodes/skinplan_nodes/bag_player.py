@@ -105,11 +105,11 @@ class BagPlayer(CellNode):
         self.playback.stop()
         self._thread.join(_LAST_WORDS_S)
 
-    def on_message(self, message: BagMessage) -> None:
+    def on_message(self, message: BagMessage, late: bool) -> None:
         """Publishes a message, the clock before it where that is wanted."""
         if self.values.clock_per_message or message.topic in self._clock_topics:
             self._publish_clock(message.log_time_ns)
-        self._played.publish(message)
+        self._played.publish(message, late)
 
     def on_time(self, now_ns: int) -> None:
         """Publishes the clock at its rate."""

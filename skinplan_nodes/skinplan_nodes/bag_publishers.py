@@ -21,6 +21,8 @@ from skinplan_nodes.playback_qos import profile_to_play, ros_profile
 # Subscribers find a publisher that was made anew within this, or get its state when they do.
 _MATCH_S = 0.3
 _POLL_S = 0.002
+# A subscriber that hangs must not hold up the others for longer.
+_PATIENCE_S = 0.5
 _TF_STATIC = "tf2_msgs/msg/TFMessage"
 
 Overrides = Mapping[str, Callable[[RecordedQos], RecordedQos]]
@@ -34,6 +36,7 @@ class _Topic:
     type_name: str
     depth: int
     sent: int = 0
+    unacked: int = 0
 
 
 class BagPublishers:
@@ -68,11 +71,20 @@ class BagPublishers:
         """Latched topics -> how many of its last messages a late subscriber gets."""
         return {name: topic.depth for name, topic in self._topics.items() if topic.depth}
 
-    def publish(self, message: BagMessage) -> None:
-        """Publishes one message."""
+    def publish(self, message: BagMessage, patient: bool = False) -> None:
+        """Publishes one message.
+
+        Args:
+            message: The message.
+            patient: Subscribers that can't follow are waited for before their queue runs over.
+        """
         topic = self._topics[message.topic]
         topic.publisher.publish(message.data)
         topic.sent += 1
+        topic.unacked += 1
+        if patient and topic.unacked >= topic.qos.depth // 2:
+            topic.publisher.wait_for_all_acked(Duration(seconds=_PATIENCE_S))
+            topic.unacked = 0
 
     def restore(self, state: Mapping[str, list[BagMessage]]) -> None:
         """Brings the latched topics to a state: for those who listen and for those who come later.

@@ -14,6 +14,7 @@ from skinplan.recording.reader import BagReader
 
 # The clock goes on while no message is due; not more often, however fast time runs.
 _LONGEST_WAIT_S = 0.02
+_LATE_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -46,8 +47,8 @@ class PlaybackSettings:
 class Listener(Protocol):
     """What is told while a bag is played, in the thread of `Playback.run`."""
 
-    def on_message(self, message: BagMessage) -> None:
-        """Gets each message when it is due."""
+    def on_message(self, message: BagMessage, late: bool) -> None:
+        """Gets each message when it is due, and whether time has run ahead of the player."""
 
     def on_time(self, now_ns: int) -> None:
         """Gets the time of the recording [ns], often."""
@@ -113,7 +114,7 @@ class Playback:
                     if not self._go_on_at_end():
                         return
                 elif self._wait_for(message.log_time_ns):
-                    self._listener.on_message(message)
+                    self._listener.on_message(message, self._is_late(message.log_time_ns))
                     self._note_burst()
         finally:
             if ahead is not None:
@@ -293,6 +294,11 @@ class Playback:
                 wait_s = (due_ns - self._time_ns()) * 1e-9 / self._rate
                 most = self._settings.tick_s
                 self._changed.wait(most if self._paused else max(0.0, min(wait_s, most)))
+
+    def _is_late(self, due_ns: int) -> bool:
+        """Tells whether the gaps are lost already, so that nothing is lost by waiting."""
+        behind_s = (self._time_ns() - due_ns) * 1e-9 / self._rate
+        return behind_s > _LATE_S or self._to_burst > 0
 
     def _note_burst(self) -> None:
         if self._to_burst:

@@ -66,7 +66,7 @@ def test_one_setting_of_the_part(
     document["mesh"]["file"] = str(part_file.with_name(document["mesh"]["file"]))
     (tmp_path / "part.yaml").write_text(yaml.safe_dump(document))
     code, found = verified(bag, "--part", str(tmp_path / "part.yaml"))
-    assert (code, found["first_difference"]) == (1, stage)
+    assert (code, found["first_difference"]) == (1, stage), found["stages"][0]
 
 
 def test_one_parameter_of_a_node(bag: Path) -> None:

@@ -97,7 +97,7 @@ def read_map(path: Path, stream: BinaryIO) -> McapMap:
     return found
 
 
-def chunk_data(body: bytes) -> bytes:
+def chunk_data(body: memoryview) -> bytes | memoryview:
     """Returns the records inside a chunk record.
 
     Args:
@@ -108,7 +108,7 @@ def chunk_data(body: bytes) -> bytes:
     """
     _, _, size, checksum, named = _CHUNK.unpack_from(body)
     begin = _CHUNK.size + named
-    compression = body[_CHUNK.size : begin].decode()
+    compression = bytes(body[_CHUNK.size : begin]).decode()
     (length,) = struct.unpack_from("<Q", body, begin)
     packed = body[begin + 8 : begin + 8 + length]
     if len(packed) != length:
@@ -284,7 +284,7 @@ class _Scan:
 
     def _take_chunk(self, body: bytes, place: int, end: int) -> None:
         self._end_row()
-        data = chunk_data(body)
+        data = bytes(chunk_data(memoryview(body)))
         times, channels = [], set()
         for opcode, begin, stop in records_in(data):
             if opcode == Opcode.MESSAGE:

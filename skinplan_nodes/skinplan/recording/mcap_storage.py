@@ -18,7 +18,7 @@ from skinplan.recording.storage import StorageInfo, naming_damage
 _MOST_WAITING = 2**30
 _LOG_TIME = itemgetter(0)
 # Log time, publish time, channel, piece, begin and end of the message in it.
-_Found = tuple[int, int, int, bytes, int, int]
+_Found = tuple[int, int, int, bytes | memoryview, int, int]
 
 
 class McapStorage:
@@ -104,20 +104,20 @@ class McapStorage:
     def _message(self, item: _Found) -> BagMessage:
         log_ns, publish_ns, channel, data, begin, end = item
         topic, type_name = self._names[channel]
-        return BagMessage(topic, type_name, data[begin:end], log_ns, publish_ns)
+        return BagMessage(topic, type_name, bytes(data[begin:end]), log_ns, publish_ns)
 
     def _read(self, block: Block, wanted: frozenset[int]) -> list[_Found]:
         """Returns the wanted messages of a block by log time."""
         with naming_damage(self._map.path):
             self._stream.seek(block.offset)
-            data = self._stream.read(block.length)
+            data: bytes | memoryview = self._stream.read(block.length)
             if len(data) != block.length:
                 raise EOFError(f"the block at byte {block.offset} breaks off")
             if block.is_chunk:
                 opcode, length = HEAD.unpack_from(data)
                 if opcode != Opcode.CHUNK or length != block.length - HEAD.size:
                     raise ValueError(f"no chunk of the announced size at byte {block.offset}")
-                data = chunk_data(data[HEAD.size :])
+                data = chunk_data(memoryview(data)[HEAD.size :])
             found = _found(data, wanted)
         if any(later[0] < earlier[0] for earlier, later in zip(found, found[1:], strict=False)):
             found.sort(key=_LOG_TIME)
@@ -131,7 +131,7 @@ class McapStorage:
             )
 
 
-def _found(data: bytes, wanted: frozenset[int]) -> list[_Found]:
+def _found(data: bytes | memoryview, wanted: frozenset[int]) -> list[_Found]:
     """Returns the wanted messages of a piece in the order of the file."""
     found: list[_Found] = []
     head, message, is_message = HEAD.unpack_from, MESSAGE.unpack_from, int(Opcode.MESSAGE)

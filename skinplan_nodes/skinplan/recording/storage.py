@@ -107,7 +107,9 @@ def naming_damage(path: Path) -> Iterator[None]:
         ) from error
 
 
-def decompressed(compression: str, data: bytes, size: int | None = None) -> bytes:
+def decompressed(
+    compression: str, data: bytes | memoryview, size: int | None = None
+) -> bytes | memoryview:
     """Decompresses a piece without taking more memory than it really needs.
 
     Args:
@@ -123,7 +125,7 @@ def decompressed(compression: str, data: bytes, size: int | None = None) -> byte
     if size is not None and size > LARGEST_PIECE:
         raise ValueError(f"a piece of {size} bytes; up to {LARGEST_PIECE} are accepted")
     if compression == "":
-        found = data
+        found: bytes | memoryview = data
     elif compression == "zstd":
         found = _zstd(data, LARGEST_PIECE if size is None else size)
     elif compression == "lz4":
@@ -135,12 +137,13 @@ def decompressed(compression: str, data: bytes, size: int | None = None) -> byte
     return found
 
 
-def _zstd(data: bytes, most: int) -> bytes:
+def _zstd(data: bytes | memoryview, most: int) -> bytes:
     claimed = frame_content_size(data)
     if claimed > most:
         raise ValueError(f"a piece of {claimed} bytes; up to {most} are accepted")
     if 0 <= claimed <= _BELIEVED:
-        return bytes(ZstdDecompressor().decompress(data, max_output_size=max(claimed, 1)))
+        # Of the library's own type; no copy.
+        return ZstdDecompressor().decompress(data, max_output_size=max(claimed, 1))
     pieces = bytearray()
     with ZstdDecompressor().stream_reader(data) as stream:
         while piece := stream.read(_STEP):
@@ -150,7 +153,7 @@ def _zstd(data: bytes, most: int) -> bytes:
     return bytes(pieces)
 
 
-def _lz4(data: bytes, most: int) -> bytes:
+def _lz4(data: bytes | memoryview, most: int) -> bytes:
     stream, pieces = LZ4FrameDecompressor(), bytearray()
     piece = stream.decompress(data, max_length=_STEP)
     while piece or not (stream.eof or stream.needs_input):

@@ -81,4 +81,4 @@ class UnpackedMessages:
 
     def _unpacked(self, message: BagMessage) -> BagMessage:
         with naming_damage(self.info.path):
-            return replace(message, data=decompressed(self._compression, message.data))
+            return replace(message, data=bytes(decompressed(self._compression, message.data)))

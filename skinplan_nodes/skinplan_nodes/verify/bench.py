@@ -21,7 +21,7 @@ from skinplan_nodes.qos import STATE
 
 _JOIN_S = 10.0
 _POLL_S = 0.005
-_DISCOVERY_S = 20.0
+_DISCOVERY_S = 60.0
 
 
 class NotAnsweredError(SkinplanError):

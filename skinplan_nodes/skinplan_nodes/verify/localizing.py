@@ -22,9 +22,10 @@ from skinplan_nodes.verify.compare import (
 )
 from skinplan_nodes.verify.recorded import Localization, RecordedRun, Stamped
 
-_IMAGE_S = 60.0
-_RESULT_S = 30.0
-_MATCH_S = 20.0
+# A busy machine is no difference.
+_IMAGE_S = 300.0
+_RESULT_S = 90.0
+_MATCH_S = 60.0
 # The clock stands so long before the next image: nothing older than that may be used.
 _BEFORE_S = 1e-3
 # Frames that the localiser makes itself.
@@ -78,11 +79,7 @@ class LocalizerFeed:
         self._send_static()
         for number, recorded in enumerate(every):
             progress(f"localisation {number + 1} of {len(every)}")
-            try:
-                self._localize(recorded, number == 0, result)
-            except NotAnsweredError as error:
-                result.differences.append(f"localisation {number + 1}: {error}")
-                break
+            self._localize(recorded, number == 0, result)
         return result
 
     def close(self) -> None:
