@@ -127,7 +127,7 @@ def opened(folder: Path) -> int:
 
 
 LISTENER = """
-import json, os, sys, time
+import json, os, sys, threading, time
 import rclpy
 from rclpy.experimental import EventsExecutor
 from rclpy.qos import QoSProfile
@@ -148,14 +148,13 @@ executor = EventsExecutor()
 executor.add_node(node)
 began = time.monotonic()
 print("ready", flush=True)
-while True:
-    executor.spin_once(timeout_sec=0.2)
-    now = time.monotonic()
-    if (found["last"] and now - found["last"] > 5.0) or now - began > 120.0:
-        break
-found["cpu_s"] = time.process_time()
-print(json.dumps(found), flush=True)
-os._exit(0)
+def watch():
+    while time.monotonic() - (found["last"] or began + 60.0) < 5.0:
+        time.sleep(0.05)
+    print(json.dumps(found), flush=True)
+    os._exit(0)
+threading.Thread(target=watch).start()
+executor.spin()
 """
 
 
