@@ -39,7 +39,7 @@ executor.add_node(node)
 print("ready", flush=True)
 quiet_s, began = float(sys.argv[2]), time.monotonic()
 def watch():
-    while time.monotonic() - (found[-1][2] * 1e-9 if found else began + 15.0) < quiet_s:
+    while time.monotonic() - (found[-1][2] * 1e-9 if found else began + 60.0) < quiet_s:
         time.sleep(0.05)
     print(json.dumps(found), flush=True)
     os._exit(0)
@@ -77,7 +77,7 @@ def measure(bag: Path) -> None:
     assert listener.stdout is not None
     listener.stdout.readline()
     command = [sys.executable, "-m", "skinplan_nodes.bag_player", "--ros-args"]
-    for name, value in {"bag": bag, "start_delay_s": 8.0, "clock_rate_hz": 0.0}.items():
+    for name, value in {"bag": bag, "start_delay_s": 4.0, "clock_rate_hz": 0.0}.items():
         command += ["-p", f"{name}:={value}"]
     subprocess.run(command, check=True, timeout=600, stderr=subprocess.DEVNULL)
     heard = json.loads(listener.stdout.readline())

@@ -99,8 +99,10 @@ def naming_damage(path: Path) -> Iterator[None]:
     """Turns whatever damaged bytes raise into a `BagInvalidError` with the file's name."""
     try:
         yield
-    except BagInvalidError:
-        raise
+    except BagInvalidError as error:
+        if str(path) in str(error):
+            raise
+        raise BagInvalidError(f"{path}: {error}") from error
     except DAMAGE as error:
         raise BagInvalidError(
             f"{path}: the file is damaged ({type(error).__name__}: {error})"
