@@ -35,6 +35,7 @@ from skinplan_nodes.conversions import (
     station_plan_from_msg,
     transform_stamped_to_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, Parameter
 from skinplan_nodes.part_cache import part_path
@@ -94,7 +95,7 @@ class CellView(CellNode):
         ):
             self.create_subscription(kind, topic, handler, qos)
         # Taken apart only as often as the links are published.
-        self.create_subscription(JointState, "joint_states", self._on_joints, STATE, raw=True)
+        subscribe_draining(self, JointState, "joint_states", self._on_joints, STATE, raw=True)
 
     def _show_part(self, uri: str) -> None:
         part = load_part(part_path(uri))

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from geometry_msgs.msg import PoseStamped
+from rclpy.serialization import deserialize_message
 from sensor_msgs.msg import JointState, PointCloud2
 from std_msgs.msg import Bool
 
@@ -25,9 +26,10 @@ from skinplan_nodes.conversions import (
     joint_state_from_msg,
     pose_stamped_from_msg,
     pose_stamped_to_msg,
+    raw_stamp_s,
     scan_frame_to_msg,
-    stamp_from_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
 from skinplan_nodes.mock_parts import SHOP, part_of
 from skinplan_nodes.node import CellNode
@@ -133,7 +135,7 @@ class MockCtrack(CellNode):
         self._pose = self.create_publisher(PoseStamped, "tracker/scanner_pose", STATE)
         self._visible = self.create_publisher(Bool, "tracker/visible", STATE)
         self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
-        self.create_subscription(JointState, "joint_states", self._on_joint_state, STATE)
+        subscribe_draining(self, JointState, "joint_states", self._on_joint_state, STATE, raw=True)
         self._tracker_face = DeviceFace(self, "tracker")
         self._scanner_face = DeviceFace(
             self, "scanner", lambda _: self._switch(False), self._switch
@@ -171,14 +173,15 @@ class MockCtrack(CellNode):
     def _on_base_pose(self, message: PoseStamped) -> None:
         self._T_map_base_link = pose_stamped_from_msg(message, "map", "true pose of the base")
 
-    def _on_joint_state(self, message: JointState) -> None:
-        stamp_s = stamp_from_msg(message.header.stamp)
+    def _on_joint_state(self, raw: bytes) -> None:
+        stamp_s = raw_stamp_s(raw)
         period_s = 1.0 / self.values.rate_hz
         # A millisecond early counts: stamps are rounded.
         if self._T_map_base_link is None or stamp_s < self._next_s - 1e-3:
             return
         self._next_s = (math.floor(stamp_s / period_s + 1e-3) + 1) * period_s
         try:
+            message = deserialize_message(raw, JointState)
             joints, _ = joint_state_from_msg(message, self._model.joint_names)
         except SkinplanError as error:
             self.get_logger().warning(str(error))

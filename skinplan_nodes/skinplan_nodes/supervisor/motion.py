@@ -14,6 +14,7 @@ from sensor_msgs.msg import JointState
 from skinplan.errors import SkinplanError
 from skinplan.transforms import Array, difference
 from skinplan_nodes.conversions import joint_state_from_msg, pose_from_msg, stamp_from_msg
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.qos import STATE
 
 # Slower than this is standing still: far above noise, far below any motion on purpose.
@@ -33,7 +34,7 @@ class Motion:
     def __init__(self, node: Node) -> None:
         self._joints: bytes | None = None
         self._odometry: bytes | None = None
-        node.create_subscription(JointState, "joint_states", self._on_joints, STATE, raw=True)
+        subscribe_draining(node, JointState, "joint_states", self._on_joints, STATE, raw=True)
         node.create_subscription(Odometry, "odom", self._on_odometry, STATE, raw=True)
 
     def joint_state(self) -> JointState:
