@@ -12,7 +12,8 @@ from localization_scene import CAMERA, CELL, base_facing, camera_pose, observed,
 from skinplan.errors import FixtureMismatchError, ImageInvalidError, InputError
 from skinplan.localization.camera import (
     project,
-    project_with_derivative,
+    project_rays,
+    ray_derivative,
     require_camera,
     undistorted,
 )
@@ -207,15 +208,15 @@ def test_rational_polynomial_projects_as_opencv_and_has_its_derivative():
     camera = require_camera(CameraModel(1280, 720, CAMERA.K, D))
     points = np.random.default_rng(1).uniform([-0.5, -0.3, 1], [0.5, 0.3, 2], (30, 3))
     expected, _ = cv2.projectPoints(points, np.zeros(3), np.zeros(3), CAMERA.K, D)
-    pixels, derivative = project_with_derivative(points, camera)
+    pixels, rays = project(points, camera), points[:, :2] / points[:, 2:]
     np.testing.assert_allclose(pixels, expected[:, 0], atol=1e-9)
-    for axis in range(3):
-        step = np.eye(3)[axis] * 1e-6
-        slope = (project(points + step, camera) - project(points - step, camera)) / 2e-6
-        np.testing.assert_allclose(derivative[:, :, axis], slope, rtol=1e-5, atol=1e-4)
-    np.testing.assert_allclose(
-        undistorted(pixels, camera), points[:, :2] / points[:, 2:], atol=1e-7
-    )
+    np.testing.assert_allclose(undistorted(pixels, camera), rays, atol=1e-7)
+    for model in (camera, replace(camera, D=np.zeros(0))):
+        derivative = ray_derivative(rays, model)
+        for axis in range(2):
+            step = np.eye(2)[axis] * 1e-6
+            slope = (project_rays(rays + step, model) - project_rays(rays - step, model)) / 2e-6
+            np.testing.assert_allclose(derivative[:, :, axis], slope, rtol=1e-5, atol=1e-4)
 
 
 def test_a_rectified_image_gives_the_same_pose():

@@ -58,30 +58,21 @@ def project(points: Array, camera: CameraModel) -> Array:
     Returns:
         shape (..., 2) [px].
     """
-    rays = points[..., :2] / points[..., 2:]
+    return project_rays(points[..., :2] / points[..., 2:], camera)
+
+
+def project_rays(rays: Array, camera: CameraModel) -> Array:
+    """Projects rays, given on the plane z = 1, shape (..., 2): pixels, shape (..., 2)."""
     bent, _ = _bent(rays, _coefficients(camera), with_derivative=False)
     return np.asarray(bent @ camera.K[:2, :2].T + camera.K[:2, 2])
 
 
-def project_with_derivative(points: Array, camera: CameraModel) -> tuple[Array, Array]:
-    """Projects points in the optical frame.
-
-    Args:
-        points: In front of the camera, shape (..., 3) [m].
-        camera: The camera.
-
-    Returns:
-        Pixels, shape (..., 2), and their derivative by the point, shape (..., 2, 3) [px/m].
-    """
-    depth = points[..., 2:]
-    rays = points[..., :2] / depth
-    bent, by_ray = _bent(rays, _coefficients(camera), with_derivative=True)
-    ray_by_point = np.zeros((*rays.shape, 3))
-    ray_by_point[..., 0, 0] = ray_by_point[..., 1, 1] = 1.0 / depth[..., 0]
-    ray_by_point[..., 2] = -rays / depth
-    turned = camera.K[:2, :2]
-    pixels = bent @ turned.T + camera.K[:2, 2]
-    return np.asarray(pixels), np.asarray(turned @ by_ray @ ray_by_point)
+def ray_derivative(rays: Array, camera: CameraModel) -> Array:
+    """Returns the derivative of pixels by rays on the plane z = 1, shape (..., 2, 2) [px]."""
+    if not camera.D.any():
+        return np.broadcast_to(camera.K[:2, :2], (*rays.shape[:-1], 2, 2))
+    _, by_ray = _bent(rays, _coefficients(camera), with_derivative=True)
+    return np.asarray(camera.K[:2, :2] @ by_ray)
 
 
 def _coefficients(camera: CameraModel) -> Array:

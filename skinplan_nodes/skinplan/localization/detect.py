@@ -2,7 +2,6 @@
 
 import logging
 from collections.abc import Sequence
-from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -10,6 +9,7 @@ from numpy.typing import NDArray
 
 from skinplan.errors import ImageInvalidError, PartInvalidError
 from skinplan.localization.edges import RefinedCorners, refine_corners
+from skinplan.localization.growth import common_growth, drawn_in, edge_growth
 from skinplan.localization.mirrored import mirrored_ids
 from skinplan.localization.model import CameraModel, Detection
 from skinplan.localization.print_check import fits_print
@@ -17,7 +17,14 @@ from skinplan.transforms import Array
 
 log = logging.getLogger(__name__)
 
-CORNER_FINDERS = ("lines", "subpix")
+CORNER_FINDERS = ("auto", "lines", "subpix")
+# Half the light lies farther inside than this: a dark tone curve over a blur with long ends. The
+# edges are then drawn outwards, by how much only clear cells tell ...
+_SKEWED_PX, _GROWTH_KNOWN_PX = -0.06, 0.02
+# ... and this share of it stays.
+_GROWTH_LEFT = 0.2
+# By how much blur draws the corners of OpenCV's finder inwards [px].
+_SUBPIX_PULL_PX = 0.15
 # Two finds of one id closer than this share of the marker's side are the same marker.
 _SAME_MARKER = 0.5
 # Windows of the adaptive threshold: the small one for far markers, the large one for near ones.
@@ -25,9 +32,12 @@ _SAME_MARKER = 0.5
 _WINDOWS_PX = (3, 29)
 # One is enough near a marker that was found before; without it the whole image is looked at.
 _TRACKING_PX = 15
-# Half window of `cornerSubPix`, of markers whose edges can't be fitted.
-_SUBPIX_PX = 3
-_SUBPIX_SHARE = 0.04
+# Windows of more than twice this are made so large for the search; the corners are then found in
+# the full image.
+_TRACKING_SIDE_PX = 160
+# Half window of `cornerSubPix`: share of a cell, at most so many pixels; and when it ends.
+_SUBPIX_SHARE, _SUBPIX_PX = 0.3, 5
+_SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
 _LARGEST_PX = 100_000_000
 
 
@@ -70,33 +80,33 @@ class MarkerDetector:
 
     Args:
         dictionary: Name as OpenCV writes it, or a dictionary of one's own.
-        corners: ``lines`` (along the edges) or ``subpix`` (OpenCV's corner finder, for a camera
-            that was calibrated with it; it draws the corners inwards under blur).
+        corners: ``lines`` (along the edges), ``subpix`` (OpenCV's corner finder; it draws the
+            corners inwards under blur), or ``auto``: lines, but OpenCV's corner finder for a marker
+            whose edges the image has drawn outwards without telling by how much.
 
     Raises:
         PartInvalidError: There is no such dictionary or way of finding corners.
     """
 
-    def __init__(self, dictionary: str | cv2.aruco.Dictionary, corners: str = "lines") -> None:
+    def __init__(self, dictionary: str | cv2.aruco.Dictionary, corners: str = "auto") -> None:
         if corners not in CORNER_FINDERS:
             raise PartInvalidError(
                 f"corners by {corners!r} were asked; accepted: {', '.join(CORNER_FINDERS)}"
             )
         self._book = dictionary_of(dictionary) if isinstance(dictionary, str) else dictionary
-        self._by_lines = corners == "lines"
+        self._corners = corners
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX[1] - _WINDOWS_PX[0]
-        if not self._by_lines:
-            parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
         self._parameters = parameters
-        self._detector = cv2.aruco.ArucoDetector(self._book, parameters)
-        self._plain = cv2.aruco.ArucoDetector(self._book)
+        self._finders = self._made(self._book)
+        self._few: tuple[tuple[int, ...], tuple[cv2.aruco.ArucoDetector, ...]] | None = None
 
     def find(
         self,
         image: NDArray[np.uint8],
         camera: CameraModel | None = None,
         windows: Sequence[tuple[int, int, int, int]] | None = None,
+        ids: Sequence[int] | None = None,
     ) -> Detection:
         """Finds markers in an image.
 
@@ -106,6 +116,7 @@ class MarkerDetector:
             image: shape (h, w) grey or (h, w, 3) BGR, 8 bit.
             camera: Lets the corners be refined without the bend of the distortion; None = without.
             windows: Parts of the image to look at, (left, top, right, bottom) [px]; None = all.
+            ids: Only these are looked for, which takes less time; None = all of the dictionary.
 
         Returns:
             The markers by rising id.
@@ -115,56 +126,95 @@ class MarkerDetector:
         """
         grey = grey_image(image)
         parts = [(0, 0, grey.shape[1], grey.shape[0])] if windows is None else windows
-        ids, corners, mirrored = np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), set()
-        for part in parts:
-            found = self._in_part(grey, part)
-            ids, corners = np.append(ids, found[0]), np.concatenate([corners, found[1]])
-            mirrored |= found[2]
-        keep, duplicates = _unique(ids, corners)
-        ids, corners = ids[keep], corners[keep]
-        order = np.argsort(ids)
-        ids, corners = ids[order], corners[order]
-        refined = self._refined(grey, corners, camera)
-        whole = fits_print(grey, ids, refined.corners, self._book)
+        own = None if ids is None else np.array(sorted(ids), dtype=np.int64)
+        finders = self._finders if own is None else self._finders_of(tuple(own.tolist()))
+        looks = [self._in_part(grey, part, *finders) for part in parts]
+        numbers = np.concatenate([look[0] for look in looks])
+        corners = np.concatenate([look[1] for look in looks])
+        mirrored = {number for look in looks for number in look[2]}
+        if own is not None:
+            numbers, mirrored = own[numbers], {int(own[number]) for number in mirrored}
+        keep, duplicates = _unique(numbers, corners)
+        numbers, corners = numbers[keep], corners[keep]
+        refined = self._refined(grey, numbers, corners, camera)
+        whole = fits_print(grey, numbers, refined.corners, self._book)
         return Detection(
-            ids[whole],
+            numbers[whole],
             refined.corners[whole],
             refined.covariance[whole],
             refined.floor_px[whole],
             duplicates,
             tuple(sorted(mirrored)),
-            tuple(ids[~whole].tolist()),
+            tuple(numbers[~whole].tolist()),
         )
 
+    def _finders_of(self, ids: tuple[int, ...]) -> tuple[cv2.aruco.ArucoDetector, ...]:
+        """Returns detectors of a few ids: comparing with a thousand takes 2 ms a quadrilateral."""
+        if self._few is None or self._few[0] != ids:
+            few = cv2.aruco.Dictionary(
+                self._book.bytesList[list(ids)], self._book.markerSize, self._book.maxCorrectionBits
+            )
+            self._few = (ids, self._made(few))
+        return self._few[1]
+
+    def _made(self, book: cv2.aruco.Dictionary) -> tuple[cv2.aruco.ArucoDetector, ...]:
+        """Returns the detector that finds, and the one for mirror images."""
+        return cv2.aruco.ArucoDetector(book, self._parameters), cv2.aruco.ArucoDetector(book)
+
     def _in_part(
-        self, grey: NDArray[np.uint8], part: tuple[int, int, int, int]
+        self,
+        grey: NDArray[np.uint8],
+        part: tuple[int, int, int, int],
+        finder: cv2.aruco.ArucoDetector,
+        plain: cv2.aruco.ArucoDetector,
     ) -> tuple[NDArray[np.int64], Array, set[int]]:
         left, top, right, bottom = part
-        window = grey[top:bottom, left:right]
+        window = np.ascontiguousarray(grey[top:bottom, left:right])
+        whole = window.shape == grey.shape
+        large = not whole and max(window.shape) > 2 * _TRACKING_SIDE_PX
+        scale = _TRACKING_SIDE_PX / max(window.shape) if large else 1.0
+        if large:
+            size = np.rint(np.multiply(window.shape[::-1], scale)).astype(int)
+            smaller = cv2.resize(window, size.tolist(), interpolation=cv2.INTER_AREA)
+            window = np.asarray(smaller, dtype=np.uint8)
         # OpenCV's limits are shares of the longer side of the image: the same in pixels.
-        rate = 0.03 * max(grey.shape) / max(window.shape)
+        rate = 0.03 * scale * max(grey.shape) / max(window.shape)
         parameters = self._parameters
         parameters.minMarkerPerimeterRate = min(rate, 3.0)
-        whole = window.shape == grey.shape
         low, high = _WINDOWS_PX if whole else (_TRACKING_PX, _TRACKING_PX)
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = low, high
-        self._detector.setDetectorParameters(self._parameters)
-        found, found_ids, rejected = self._detector.detectMarkers(np.ascontiguousarray(window))
+        finder.setDetectorParameters(self._parameters)
+        found, found_ids, rejected = finder.detectMarkers(window)
         corners = np.asarray(found, dtype=float).reshape(-1, 4, 2)
-        mirrored = mirrored_ids(window, rejected, corners, self._plain)
+        mirrored = mirrored_ids(window, rejected, corners, plain)
         if len(corners) == 0:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), mirrored
-        return np.asarray(found_ids, dtype=np.int64).ravel(), corners + (left, top), mirrored
+        placed = (corners + 0.5) / scale - 0.5 + (left, top)
+        return np.asarray(found_ids, dtype=np.int64).ravel(), placed, mirrored
 
     def _refined(
-        self, grey: NDArray[np.uint8], corners: Array, camera: CameraModel | None
+        self,
+        grey: NDArray[np.uint8],
+        ids: NDArray[np.int64],
+        corners: Array,
+        camera: CameraModel | None,
     ) -> RefinedCorners:
-        refined = refine_corners(grey, corners, self._book.markerSize + 2, camera)
-        if not self._by_lines:
-            return replace(refined, corners=corners)
-        for number in np.flatnonzero(~refined.fitted):
-            refined.corners[number] = _subpix(grey, corners[number])
-        return refined
+        cells = self._book.markerSize + 2
+        found = refine_corners(grey, corners, cells, camera)
+        by_finder = np.full(len(ids), self._corners == "subpix")
+        if self._corners != "subpix":
+            growth, sigma = edge_growth(grey, ids, found.corners, self._book)
+            if self._corners == "auto":
+                by_finder = (found.skew_px < _SKEWED_PX) & (sigma > _GROWTH_KNOWN_PX)
+            shift = common_growth(growth, sigma)
+            if shift != 0.0:
+                own = found.fitted & ~by_finder
+                found.corners[own] = drawn_in(found.corners[own], shift)
+                found.floor_px[own] = np.hypot(found.floor_px[own], _GROWTH_LEFT * shift)
+        for number in np.flatnonzero(by_finder | ~found.fitted):
+            found.corners[number] = _subpix(grey, corners[number], cells)
+            found.floor_px[number] = max(found.floor_px[number], _SUBPIX_PULL_PX)
+        return found
 
 
 def detect_markers(
@@ -174,20 +224,26 @@ def detect_markers(
     return MarkerDetector(dictionary).find(image, camera)
 
 
-def _subpix(grey: NDArray[np.uint8], corners: Array) -> Array:
-    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
-    half = int(np.clip(round(_SUBPIX_SHARE * side), 1, _SUBPIX_PX))
+def _subpix(grey: NDArray[np.uint8], corners: Array, cells: int) -> Array:
+    """Returns corners of one marker by OpenCV's corner finder, with the detector's own settings."""
+    side = float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).mean())
+    half = int(np.clip(round(_SUBPIX_SHARE * side / cells), 1, _SUBPIX_PX))
     start = np.ascontiguousarray(corners, dtype=np.float32).reshape(-1, 1, 2)
-    criteria = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
-    found = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), criteria)
+    found = cv2.cornerSubPix(grey, start, (half, half), (-1, -1), _SUBPIX_UNTIL)
     return np.asarray(found.reshape(4, 2), dtype=float)
 
 
 def _unique(ids: NDArray[np.int64], corners: Array) -> tuple[NDArray[np.int64], tuple[int, ...]]:
-    """Returns the finds to keep, one of a marker found twice, and the ids at several places."""
+    """Returns which finds to keep, by rising id, and the ids that are at several places.
+
+    Of a marker that was found twice one find is kept.
+    """
     keep, twice = [], []
+    several = np.unique(ids)
+    if len(several) == len(ids):
+        return np.argsort(ids), ()
     centres = corners.mean(axis=1)
-    for marker_id in np.unique(ids):
+    for marker_id in several:
         same = np.flatnonzero(ids == marker_id)
         side = np.linalg.norm(corners[same[0], 0] - corners[same[0], 1])
         apart = np.linalg.norm(centres[same] - centres[same[0]], axis=1)

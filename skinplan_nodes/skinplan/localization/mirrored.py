@@ -32,6 +32,8 @@ def mirrored_ids(
         found: Corners of those that are, shape (m, 4, 2) [px].
         detector: Finds markers; it is given the mirrored surroundings of the quadrilaterals.
     """
+    if len(quads) == 0:
+        return set()
     corners = np.asarray(quads, dtype=np.float64).reshape(-1, 4, 2)
     low, high = corners.min(axis=1), corners.max(axis=1)
     middles = found.mean(axis=1)

@@ -16,11 +16,12 @@ from skinplan.localization.solve import (
     refine,
     square_corners,
     square_solutions,
+    turned_by,
     whitening,
 )
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
-from skinplan.transforms import Array, difference
+from skinplan.transforms import Array
 
 log = logging.getLogger(__name__)
 
@@ -33,7 +34,7 @@ def observe(
     camera: CameraModel,
     fixture: Fixture,
     quality: QualitySettings,
-    corners: str = "lines",
+    corners: str = "auto",
 ) -> Sighting:
     """Finds the fixture's markers in one image; `tracking.MarkerTracker` does it for many.
 
@@ -151,7 +152,7 @@ def exact_detection(ids: NDArray[np.int64], corners: Array, noise_px: float) -> 
 
 def ambiguity(best: Array, second: Array, best_px: float, second_px: float) -> float:
     """Returns best over second error; 0 where both are one pose, 1 where neither has any error."""
-    if difference(best, second)[1] <= SAME_POSE_RAD:
+    if turned_by(best, second) <= SAME_POSE_RAD:
         return 0.0
     return best_px / second_px if second_px > 1e-9 else 1.0
 

@@ -21,11 +21,12 @@ from skinplan.localization.solve import (
     marker_errors,
     refine,
     square_corners,
+    turned_by,
     whitening,
 )
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
-from skinplan.transforms import Array, apply, difference, inverse
+from skinplan.transforms import Array, apply, inverse
 
 # Pose, reprojection error [px] and covariance.
 _Solution = tuple[Array, float, Array]
@@ -185,20 +186,18 @@ def _together(
             for T_camera_marker in (item.T_camera_marker, item.T_camera_second)
         ]
     )
-    kept, best, starts = _agreed(bundle, starts, camera)
-    second = _second(kept, best[0], starts, camera)
-    if second is not None and second[1] < best[1]:
-        best, second = second, best
-    return kept, best, second
+    kept, found = _agreed(bundle, starts, camera)
+    order = np.argsort(found.error_px, kind="stable")
+    away = turned_by(found.poses[order[0]], found.poses[order]) > SAME_POSE_RAD
+    second = _solution(found, int(order[away][0])) if away.any() else None
+    return kept, _solution(found, int(order[0])), second
 
 
-def _agreed(
-    bundle: _Bundle, starts: Array, camera: CameraModel
-) -> tuple[_Bundle, _Solution, Array]:
-    """Finds the largest set of markers that one pose explains, and that pose.
+def _agreed(bundle: _Bundle, starts: Array, camera: CameraModel) -> tuple[_Bundle, Solutions]:
+    """Finds the largest set of markers that one pose explains.
 
     Returns:
-        The markers, the pose, and the starts by how well they explain these markers.
+        The markers, and what the best start and a few that are turned against it lead to.
     """
     errors = marker_errors(starts, bundle.points, bundle.pixels, camera)
     sides = np.array([_narrowest_px(pixels) for pixels in bundle.pixels])
@@ -208,33 +207,20 @@ def _agreed(
     first = int(np.argmin(cost))
     kept = bundle.only(agrees[first])
     order = np.argsort(np.minimum(errors, allowed)[:, agrees[first]].sum(axis=1), kind="stable")
+    away = turned_by(starts[order[0]], starts[order]) > SAME_POSE_RAD
+    tried = starts[[order[0], *order[away][:_SECOND_TRIES]]]
     while len(kept.markers) > 0:
-        best = refine(starts[order[:1]], kept.points, kept.pixels, kept.whiten, camera)
-        worst = float(best.marker_error_px[0].max())
+        found = refine(tried, kept.points, kept.pixels, kept.whiten, camera)
+        errors_px = found.marker_error_px[int(np.argmin(found.error_px))]
+        worst = float(errors_px.max())
         if worst <= REPROJECTION_MAX_PX:
             break
         if len(kept.markers) == 1:
             raise _mismatch(bundle, worst)
-        kept = kept.only(best.marker_error_px[0] < worst)
+        kept = kept.only(errors_px < worst)
     if 2 * len(kept.markers) <= len(bundle.markers):
         raise _mismatch(bundle, float(errors[first].max()))
-    return kept, _solution(best, 0), starts[order]
-
-
-def _second(kept: _Bundle, pose: Array, starts: Array, camera: CameraModel) -> _Solution | None:
-    """Returns the best pose elsewhere; None = there is none."""
-    away = [start for start in starts if difference(pose, start)[1] > SAME_POSE_RAD]
-    if not away:
-        return None
-    found = refine(np.array(away[:_SECOND_TRIES]), kept.points, kept.pixels, kept.whiten, camera)
-    others = [
-        (float(found.error_px[k]), k)
-        for k in range(len(found.poses))
-        if difference(pose, found.poses[k])[1] > SAME_POSE_RAD
-    ]
-    if not others:
-        return None
-    return _solution(found, min(others)[1])
+    return kept, found
 
 
 def _solution(found: Solutions, number: int) -> _Solution:
@@ -254,18 +240,21 @@ def _hidden(
 ) -> NDArray[np.int64]:
     """Returns the markers that should be seen by a pose, and are not."""
     found = {*(item.id for item in seen.markers), *seen.duplicates, *seen.mirrored}
-    missing = []
-    for marker in fixture.markers:
-        T_camera_marker = pose @ fixture.T_workpiece_marker(marker.id)
-        place = T_camera_marker[:3, 3]
-        cosine = -float(T_camera_marker[:3, 2] @ place) / max(float(np.linalg.norm(place)), 1e-9)
-        if marker.id in found or place[2] <= 0.0 or cosine < _HIDDEN_COSINE:
-            continue
-        side = marker.size_m * cosine / place[2] * camera.K[0, 0]
-        corners = apply(T_camera_marker, square_corners(marker.size_m))
-        if side >= _HIDDEN_SIDE_PX and in_view(corners, camera, _HIDDEN_RIM_PX).all():
-            missing.append(marker.id)
-    return np.array(missing, dtype=np.int64)
+    missing = [marker for marker in fixture.markers if marker.id not in found]
+    if not missing:
+        return np.zeros(0, dtype=np.int64)
+    frames = np.array([pose @ fixture.T_workpiece_marker(marker.id) for marker in missing])
+    places, sizes = frames[:, :3, 3], np.array([marker.size_m for marker in missing])
+    away = np.maximum(np.linalg.norm(places, axis=1), 1e-9)
+    cosine = -np.einsum("mi,mi->m", frames[:, :3, 2], places) / away
+    side = sizes * cosine / np.maximum(places[:, 2], 1e-9) * camera.K[0, 0]
+    clear = (places[:, 2] > 0.0) & (cosine >= _HIDDEN_COSINE) & (side >= _HIDDEN_SIDE_PX)
+    corners = np.array(
+        [apply(T, square_corners(size)) for T, size in zip(frames, sizes.tolist(), strict=True)]
+    )
+    inside = in_view(corners.reshape(-1, 3), camera, _HIDDEN_RIM_PX).reshape(-1, 4).all(axis=1)
+    ids = np.array([marker.id for marker in missing], dtype=np.int64)
+    return np.asarray(ids[clear & inside])
 
 
 def _narrowest_px(corners: Array) -> float:
@@ -283,7 +272,7 @@ def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:
 def _ambiguous(
     kept: _Bundle, pose: Array, second: _Solution, error_px: float, accepted: float
 ) -> AmbiguousPoseError:
-    apart = np.degrees(difference(pose, second[0])[1])
+    apart = np.degrees(turned_by(pose, second[0]))
     return AmbiguousPoseError(
         f"markers {kept.ids} fit two poses {apart:.1f} deg apart with errors of "
         f"{error_px:.3f} and {second[1]:.3f} px; a ratio up to {accepted} is accepted: come "

@@ -4,6 +4,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from skinplan.localization.edges import looked_up
 from skinplan.transforms import Array
 
 # Places in each cell and axis that are compared with the cell's colour.
@@ -25,23 +26,52 @@ def fits_print(
         book: The dictionary.
     """
     cells = int(book.markerSize) + 2
+    if len(ids) == 0:
+        return np.ones(0, dtype=bool)
     at = ((np.arange(cells)[:, None] + _PLACES) / cells).ravel()
-    x, y = np.meshgrid(at, at)
-    square = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], dtype=np.float32)
-    good = np.ones(len(ids), dtype=bool)
-    for k, (marker_id, quad) in enumerate(zip(ids.tolist(), corners, strict=True)):
-        to_image = cv2.getPerspectiveTransform(square, quad.astype(np.float32))
-        places = cv2.perspectiveTransform(
-            np.stack([x, y], axis=-1).reshape(-1, 1, 2).astype(np.float32), to_image
-        ).reshape(*x.shape, 2)
-        values = cv2.remap(
-            grey, places[..., 0], places[..., 1], cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
-        )
-        wanted = cv2.aruco.generateImageMarker(book, marker_id, cells, borderBits=1) > 127
-        wanted = np.kron(wanted, np.ones((len(_PLACES), len(_PLACES)), dtype=bool))
-        level = 0.5 * (np.median(values[wanted]) + np.median(values[~wanted]))
-        agreement = float(np.mean((values > level) == wanted))
-        side = float(np.linalg.norm(quad - np.roll(quad, 1, axis=0), axis=1).min())
-        small = side < _SMALL_CELL_PX * cells
-        good[k] = agreement >= (_LEAST_SMALL if small else _LEAST_AGREEMENT)
-    return good
+    values = looked_up(grey, places_on(corners, at[None, None, :], at[None, :, None]))
+    wanted = np.array([_wanted(book, marker_id, cells) for marker_id in ids.tolist()])
+    level = [
+        0.5 * (_middle(found[white]) + _middle(found[~white]))
+        for found, white in zip(values, wanted, strict=True)
+    ]
+    agreement = np.mean((values > np.array(level)[:, None, None]) == wanted, axis=(1, 2))
+    side = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).min(axis=1)
+    least = np.where(side < _SMALL_CELL_PX * cells, _LEAST_SMALL, _LEAST_AGREEMENT)
+    return np.asarray(agreement >= least)
+
+
+def places_on(corners: Array, x: Array, y: Array) -> Array:
+    """Maps places on markers to the image by each marker's perspective.
+
+    Args:
+        corners: shape (m, 4, 2) [px].
+        x: Shares of the upper side, shape (m or 1, j, k).
+        y: Shares of the left side, the same.
+
+    Returns:
+        shape (m, j, k, 2) [px].
+    """
+    a, b, c, d = (corners[:, k] for k in range(4))
+    # Corners of the unit square, (0, 0), (1, 0), (1, 1), (0, 1): Heckbert's closed form.
+    bend, right, low = a - b + c - d, b - c, d - c
+    area = right[:, 0] * low[:, 1] - right[:, 1] * low[:, 0]
+    area = np.where(np.abs(area) < 1e-9, 1e-9, area)
+    g = (bend[:, 0] * low[:, 1] - bend[:, 1] * low[:, 0]) / area
+    h = (right[:, 0] * bend[:, 1] - right[:, 1] * bend[:, 0]) / area
+    along, down = b - a + g[:, None] * b, d - a + h[:, None] * d
+    below = 1.0 + g[:, None, None] * x + h[:, None, None] * y
+    top = along[:, None, None] * x[..., None] + down[:, None, None] * y[..., None]
+    return np.asarray((top + a[:, None, None]) / below[..., None])
+
+
+def _middle(values: NDArray[np.float32]) -> float:
+    """Returns a median; many times faster than numpy's of so few values."""
+    half = len(values) // 2
+    return float(np.partition(values, half)[half])
+
+
+def _wanted(book: cv2.aruco.Dictionary, marker_id: int, cells: int) -> NDArray[np.bool_]:
+    """Returns which places are white in a print, shape (3 cells, 3 cells)."""
+    white = cv2.aruco.generateImageMarker(book, marker_id, cells, borderBits=1) > 127
+    return np.asarray(white.repeat(len(_PLACES), axis=0).repeat(len(_PLACES), axis=1))

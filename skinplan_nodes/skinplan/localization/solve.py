@@ -1,19 +1,21 @@
 """Pose from points and their pixels: the two solutions of a square, and least squares over many."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-from skinplan.localization.camera import project, project_with_derivative
+from skinplan.localization.camera import project, ray_derivative, undistorted
 from skinplan.localization.model import CameraModel
-from skinplan.transforms import Array, transform
+from skinplan.transforms import Array
 
 _ROUNDS = 25
 _DAMPING = 1e-4
 _SMALLEST_STEP = 1e-9
+# Share of the cost that another round has to take off.
+_SMALLEST_GAIN = 1e-6
 # Keeps the equations solvable where nothing can be derived.
 _LEAST_SCALE = 1e-9
 _LEAST_SHARE = 1e-6
@@ -21,7 +23,7 @@ _RIDGE = 1e-14
 _DAMPING_RANGE = (1e-9, 1e12)
 # What a point behind the camera counts as [px].
 _BEHIND_PX = 1e4
-_BEHIND_WHITENED = 1e6
+_BEHIND_COST = 1e15
 _LEAST_DEPTH_M = 1e-6
 # Residuals that chance makes so large in one of a thousand images are no chance: the corners are
 # worse than their noise says (a bent print, a camera that is calibrated badly).
@@ -76,9 +78,16 @@ def square_solutions(corners: Array, size_m: float, camera: CameraModel) -> list
     poses = []
     for turn, place in zip(turns, places, strict=True):
         if np.all(np.isfinite(turn)) and np.all(np.isfinite(place)) and place[2, 0] > 0.0:
-            rotation = Rotation.from_rotvec(turn.ravel()).as_matrix()
-            poses.append(transform(place.ravel(), rotation))
+            pose = np.eye(4)
+            pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], place.ravel()
+            poses.append(pose)
     return poses
+
+
+def turned_by(pose: Array, others: Array) -> Array:
+    """Returns the angles between a pose, (4, 4), and others, (..., 4, 4): shape (...) [rad]."""
+    apart = np.sum((others[..., :3, :3] - pose[:3, :3]) ** 2, axis=(-2, -1))
+    return np.asarray(2.0 * np.arcsin(np.minimum(np.sqrt(apart / 8.0), 1.0)))
 
 
 def whitening(covariance: Array, floor_px: Array | float) -> Array:
@@ -128,85 +137,101 @@ def refine(
         The local minima. The covariance is ``(J^T J)^-1`` of the whitened residuals; where they
         are larger than chance makes them, it grows with them.
     """
+    rays, whiten = _in_rays(pixels, whiten, camera)
     count = len(starts)
-    points, pixels, whiten = (
-        np.broadcast_to(item, (count, *item.shape[-3:])) for item in (points, pixels, whiten)
+    points, rays, pixels, whiten = (
+        np.broadcast_to(item, (count, *item.shape[-3:])) for item in (points, rays, pixels, whiten)
     )
     poses, damping = np.array(starts, dtype=float), np.full(count, _DAMPING)
-    residual, jacobian = _linearised(poses, points, pixels, whiten, camera)
-    cost = np.einsum("bi,bi->b", residual, residual)
+    squares = _squares(poses, points, rays, whiten)
     for _ in range(_ROUNDS):
-        step = _step(residual, jacobian, damping)
+        step = _step(squares, damping)
         moved = _moved(poses, step)
-        new_residual, new_jacobian = _linearised(moved, points, pixels, whiten, camera)
-        new_cost = np.einsum("bi,bi->b", new_residual, new_residual)
+        new = _squares(moved, points, rays, whiten)
+        cost, new_cost = squares[:, 6, 6], new[:, 6, 6]
         better = new_cost < cost
         settled = (np.abs(step).max(axis=1) < _SMALLEST_STEP) | (
-            better & (cost - new_cost < 1e-7 * cost)
+            better & (cost - new_cost < _SMALLEST_GAIN * cost)
         )
         poses = np.where(better[:, None, None], moved, poses)
-        residual = np.where(better[:, None], new_residual, residual)
-        jacobian = np.where(better[:, None, None], new_jacobian, jacobian)
-        cost = np.where(better, new_cost, cost)
+        squares = np.where(better[:, None, None], new, squares)
         damping = np.clip(np.where(better, damping * 0.1, damping * 10.0), *_DAMPING_RANGE)
         if settled.all():
             break
-    return _solutions(poses, jacobian, cost, points, pixels, camera)
+    return _solutions(poses, squares, points, pixels, camera)
+
+
+def _in_rays(pixels: Array, whiten: Array, camera: CameraModel) -> tuple[Array, Array]:
+    """Takes the distortion away: rays on the plane z = 1, and W of them instead of the pixels.
+
+    The steps are then those of a camera without distortion. Over the few pixels of a residual the
+    derivative of the distortion does not change.
+    """
+    rays = undistorted(pixels.reshape(-1, 2), camera).reshape(pixels.shape)
+    slope = ray_derivative(rays, camera)
+    blocks = whiten.reshape(*whiten.shape[:-1], 4, 1, 2) @ slope[..., None, :, :, :]
+    return rays, np.asarray(blocks.reshape(whiten.shape))
 
 
 def _solutions(
-    poses: Array, jacobian: Array, cost: Array, points: Array, pixels: Array, camera: CameraModel
+    poses: Array, squares: Array, points: Array, pixels: Array, camera: CameraModel
 ) -> Solutions:
-    free = max(jacobian.shape[1] - 6, 1)
+    free = max(8 * points.shape[1] - 6, 1)
+    normal, cost = squares[:, :6, :6], squares[:, 6, 6]
     usual = (_PRIOR_COUNT + cost) / (_PRIOR_COUNT + free)
-    growth = np.where(cost > chi2.ppf(_CHANCE, free), cost / free, usual)
-    normal = jacobian.swapaxes(1, 2) @ jacobian
+    growth = np.where(cost > _largest_by_chance(free), cost / free, usual)
     # The ridge keeps a pose invertible of which the pixels tell nothing; it is far below any other.
     ridge = np.einsum("bii->b", normal)[:, None, None] * _RIDGE + _LEAST_SCALE
     covariance = growth[:, None, None] * np.linalg.inv(normal + ridge * np.eye(6))
     seen = _placed(poses, points)
     ahead = seen[..., 2].min(axis=-1) > _LEAST_DEPTH_M
     seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
-    squares = np.sum((project(seen, camera) - pixels) ** 2, axis=-1).mean(axis=-1)
-    errors = np.where(ahead, np.sqrt(squares), _BEHIND_PX)
+    apart = np.sum((project(seen, camera) - pixels) ** 2, axis=-1).mean(axis=-1)
+    errors = np.where(ahead, np.sqrt(apart), _BEHIND_PX)
     return Solutions(poses, covariance, np.sqrt(np.mean(errors**2, axis=1)), errors)
 
 
-def _step(residual: Array, jacobian: Array, damping: Array) -> Array:
-    normal = jacobian.swapaxes(1, 2) @ jacobian
+@lru_cache(maxsize=256)
+def _largest_by_chance(free: int) -> float:
+    return float(chi2.ppf(_CHANCE, free))
+
+
+def _step(squares: Array, damping: Array) -> Array:
+    normal = squares[:, :6, :6]
     own = np.einsum("bii->bi", normal)
     # A direction that the pixels hardly tell gets its share of the others' weight.
     diagonal = np.maximum(own, _LEAST_SHARE * own.max(axis=1, keepdims=True) + _LEAST_SCALE)
     damped = normal + (damping[:, None] * diagonal)[:, :, None] * np.eye(6)
-    gradient = np.einsum("bij,bi->bj", jacobian, residual)
-    return np.asarray(-np.linalg.solve(damped, gradient[..., None])[..., 0])
+    return np.asarray(-np.linalg.solve(damped, squares[:, :6, 6:])[..., 0])
 
 
-def _linearised(
-    poses: Array, points: Array, pixels: Array, whiten: Array, camera: CameraModel
-) -> tuple[Array, Array]:
-    """Returns whitened residuals, (b, 8 m), and derivative by (x, y, z, rx, ry, rz), (b, 8 m, 6).
+def _squares(poses: Array, points: Array, rays: Array, whiten: Array) -> Array:
+    """Returns G^T G of the whitened G = [J r], shape (b, 7, 7).
 
-    A pose with a point behind the camera has large residuals and no derivative.
+    J is the derivative by (x, y, z, rx, ry, rz), r the residual: the normal equations, their
+    gradient and the cost in one product. A pose with a point behind the camera has a large cost and
+    no derivative.
     """
     count, markers = points.shape[:2]
-    seen = _placed(poses, points)
-    arm = seen - poses[:, None, None, :3, 3]
+    arm = points @ poses[:, None, :3, :3].swapaxes(-1, -2)
+    seen = arm + poses[:, None, None, :3, 3]
     ahead = seen[..., 2].min(axis=(1, 2)) > _LEAST_DEPTH_M
-    seen[..., 2] = np.maximum(seen[..., 2], _LEAST_DEPTH_M)
-    projected, by_point = project_with_derivative(seen, camera)
-    by_turn = np.zeros((*arm.shape, 3))
-    by_turn[..., 0, 1], by_turn[..., 0, 2], by_turn[..., 1, 2] = (
-        arm[..., 2],
-        -arm[..., 1],
-        arm[..., 0],
-    )
-    by_turn -= by_turn.swapaxes(-1, -2)
-    jacobian = np.concatenate([by_point, by_point @ by_turn], axis=-1)
-    jacobian = whiten @ jacobian.reshape(count, markers, 8, 6)
-    residual = (whiten @ (projected - pixels).reshape(count, markers, 8, 1)).reshape(count, -1)
-    jacobian = np.where(ahead[:, None, None], jacobian.reshape(count, -1, 6), 0.0)
-    return np.where(ahead[:, None], residual, _BEHIND_WHITENED), jacobian
+    per_depth = 1.0 / np.maximum(seen[..., 2], _LEAST_DEPTH_M)
+    u, v = seen[..., 0] * per_depth, seen[..., 1] * per_depth
+    x, y, z = (arm[..., k] * per_depth for k in range(3))
+    G = np.zeros((count, markers, 4, 2, 7))
+    G[..., 0, 0] = G[..., 1, 1] = per_depth
+    G[..., 0, 2], G[..., 1, 2] = -u * per_depth, -v * per_depth
+    # A turn w moves a point by w x arm; its row is arm x (row of the point).
+    G[..., 0, 3], G[..., 0, 4], G[..., 0, 5] = -y * u, z + x * u, -y
+    G[..., 1, 3], G[..., 1, 4], G[..., 1, 5] = -z - y * v, x * v, x
+    G[..., 0, 6], G[..., 1, 6] = u - rays[..., 0], v - rays[..., 1]
+    white = (whiten @ G.reshape(count, markers, 8, 7)).reshape(count, -1, 7)
+    squares = white.swapaxes(1, 2) @ white
+    if not ahead.all():
+        squares[~ahead] = 0.0
+        squares[~ahead, 6, 6] = _BEHIND_COST
+    return np.asarray(squares)
 
 
 def _placed(poses: Array, points: Array) -> Array:
@@ -217,6 +242,17 @@ def _placed(poses: Array, points: Array) -> Array:
 
 def _moved(poses: Array, step: Array) -> Array:
     result = poses.copy()
-    result[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ poses[:, :3, :3]
+    result[:, :3, :3] = _turns(step[:, 3:]) @ poses[:, :3, :3]
     result[:, :3, 3] += step[:, :3]
     return result
+
+
+def _turns(vectors: Array) -> Array:
+    """Rotation matrices of rotation vectors, (b, 3): shape (b, 3, 3); Rodrigues' formula."""
+    angle = np.sqrt(np.einsum("bi,bi->b", vectors, vectors))[:, None, None]
+    cross = np.zeros((len(vectors), 3, 3))
+    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = vectors.T
+    cross -= cross.swapaxes(1, 2)
+    # sinc(a / pi) = sin(a) / a
+    half = np.sinc(angle / (2.0 * np.pi))
+    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross))

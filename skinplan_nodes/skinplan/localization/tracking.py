@@ -33,7 +33,7 @@ class MarkerTracker:
         windowed: Whether the last image was looked at near the markers only.
     """
 
-    def __init__(self, fixture: Fixture, quality: QualitySettings, corners: str = "lines") -> None:
+    def __init__(self, fixture: Fixture, quality: QualitySettings, corners: str = "auto") -> None:
         self._fixture = fixture
         self._quality = quality
         self._detector = MarkerDetector(fixture.dictionary, corners)
@@ -49,8 +49,9 @@ class MarkerTracker:
         windows = self._windows(grey.shape[1], grey.shape[0])
         self.windowed = windows is not None
         seen = None
-        if windows is not None:
-            found = self._detector.find(grey, camera, windows)
+        if windows is not None and self._last is not None:
+            ids = [item.id for item in self._last.markers]
+            found = self._detector.find(grey, camera, windows, ids)
             seen = judged(found, camera, self._fixture, self._quality)
             if not _same(seen, self._last):
                 seen, self.windowed = None, False

@@ -61,7 +61,7 @@ _MOUNTING = {
     "mounting_error_m": (0.0, 0.1, "a number in [0, 0.1] [m]"),
     "mounting_error_rad": (0.0, 0.1, "a number in [0, 0.1] [rad]"),
 }
-_CORNER_FINDERS = ("lines", "subpix")
+_CORNER_FINDERS = ("auto", "lines", "subpix")
 _MOST_OBSTACLES = 100
 _KEYS = [m.name for m in members(CellConfig) if m.name != "propose_tracker"]
 _POSES = ("T_base_link_arm_base", "T_tool0_scanner", "T_map_tracker", "T_map_work")

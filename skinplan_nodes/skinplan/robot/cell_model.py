@@ -33,7 +33,7 @@ class CameraConfig:
             base and looks to the left.
         mounting_error_m: Standard deviation of that calibration's translation, each axis [m].
         mounting_error_rad: ... and of its rotation [rad].
-        corners: How corners of markers are found: ``lines`` or ``subpix``.
+        corners: How corners of markers are found: ``auto``, ``lines`` or ``subpix``.
     """
 
     width: int = 1280
@@ -49,7 +49,7 @@ class CameraConfig:
     )
     mounting_error_m: float = 0.0
     mounting_error_rad: float = 0.0
-    corners: str = "lines"
+    corners: str = "auto"
 
     @property
     def T_base_link_optical(self) -> Array:

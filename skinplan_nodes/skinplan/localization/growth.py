@@ -1,0 +1,120 @@
+"""How far black reaches beyond its print in an image: tone curve, glare, ink.
+
+A camera whose grey levels are no straight line of the light puts every edge to one side, and a
+square of black looks larger or smaller by twice that. The cells inside the marker tell: the same
+shift moves their edges towards white, where the grid of the cells says how far.
+"""
+
+from functools import lru_cache
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from skinplan.localization.edges import intersections, looked_up
+from skinplan.localization.print_check import places_on
+from skinplan.transforms import Array
+
+# Markers with smaller cells do not tell [px].
+LEAST_CELL_PX = 5.0
+# Profiles across an edge between two cells: half of their length in cells, places on them, and how
+# many at either end give the level; where along the edge they lie, in cells.
+_HALF, _TICKS, _LEVEL_TICKS = 0.45, 13, 2
+_ALONG = np.array([-0.25, 0.0, 0.25])
+_LEAST_STEP = 25.0
+_LEAST_EDGES = 12
+_UNKNOWN_PX = 1e3
+# Shifts below this, or below so many standard deviations, are none.
+_LEAST_PX, _LEAST_SIGMA = 0.02, 3.0
+
+
+def edge_growth(
+    grey: NDArray[np.uint8], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
+) -> tuple[Array, Array]:
+    """Measures how far black reaches over the edges of its cells.
+
+    Args:
+        grey: shape (h, w).
+        ids: shape (m,).
+        corners: shape (m, 4, 2) [px].
+        book: The dictionary.
+
+    Returns:
+        The shift, positive where black is larger, and its standard deviation, shape (m,) each [px].
+        Markers that do not tell have 0 and a very large one.
+    """
+    growth, sigma = np.zeros(len(ids)), np.full(len(ids), _UNKNOWN_PX)
+    cells = int(book.markerSize) + 2
+    side = np.linalg.norm(corners - corners[:, [3, 0, 1, 2]], axis=2).min(axis=1)
+    for k in np.flatnonzero(side >= LEAST_CELL_PX * cells):
+        bits = cv2.aruco.generateImageMarker(book, int(ids[k]), cells, borderBits=1) > 127
+        places, sign, lever = _profiles(bits.tobytes(), cells)
+        growth[k], sigma[k] = _shift(grey, corners[k], places, sign, lever)
+    return growth, sigma
+
+
+def common_growth(growth: Array, sigma: Array) -> float:
+    """Returns the shift of all markers of an image [px]; 0 = none that can be told from chance."""
+    weight = 1.0 / sigma**2
+    total = float(weight.sum()) if len(weight) else 0.0
+    if total <= _UNKNOWN_PX**-2 * len(weight) * 2.0:
+        return 0.0
+    mean = float(weight @ growth) / total
+    return mean if abs(mean) > max(_LEAST_PX, _LEAST_SIGMA / np.sqrt(total)) else 0.0
+
+
+def drawn_in(corners: Array, shift_px: float) -> Array:
+    """Moves the edges of squares inwards by a shift: corners, shape (m, 4, 2) [px]."""
+    along = corners[:, [1, 2, 3, 0]] - corners
+    length = np.linalg.norm(along, axis=2, keepdims=True)
+    outward = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length
+    offset = np.einsum("mei,mei->me", outward, corners) - shift_px
+    return intersections(np.concatenate([outward, offset[..., None]], axis=-1))
+
+
+def _shift(
+    grey: NDArray[np.uint8], corners: Array, places: Array, sign: Array, lever: Array
+) -> tuple[float, float]:
+    """Returns the shift of one marker and its standard deviation [px]."""
+    at = places_on(corners[None], places[None, ..., 0], places[None, ..., 1])[0]
+    values = looked_up(grey, at)
+    left = values[..., :_LEVEL_TICKS].mean(axis=-1)
+    right = values[..., -_LEVEL_TICKS:].mean(axis=-1)
+    step = right - left
+    good = step * sign > _LEAST_STEP
+    if good.sum() < _LEAST_EDGES:
+        return 0.0, _UNKNOWN_PX
+    share = (right - values.mean(axis=-1))[good] / step[good]
+    length = np.linalg.norm(at[..., -1, :] - at[..., 0, :], axis=-1)[good]
+    moved = (share - 0.5) * length
+    arm = lever[good]
+    squares = float(arm @ arm)
+    shift = float(arm @ moved) / squares
+    scatter = float(np.var(moved - shift * arm))
+    # The profiles along one edge share their noise.
+    return shift, float(np.sqrt(scatter * len(_ALONG) / squares))
+
+
+@lru_cache(maxsize=4096)
+def _profiles(bits: bytes, cells: int) -> tuple[Array, Array, Array]:
+    """Lays profiles across the edges between the cells of a print.
+
+    Returns:
+        Places, shape (n, ticks, 2), as shares of the sides; +1 where white lies ahead, shape (n,);
+        and by how much of the shift an edge leaves the grid: the grid is drawn by corners that have
+        moved themselves, shape (n,).
+    """
+    print_ = np.frombuffer(bits, dtype=bool).reshape(cells, cells)
+    ahead = np.linspace(-_HALF, _HALF, _TICKS)
+    places, signs, levers = [], [], []
+    for turned in (False, True):
+        cell = print_.T if turned else print_
+        row, column = np.nonzero(cell[:, :-1] != cell[:, 1:])
+        sign = np.where(cell[row, column + 1], 1.0, -1.0)
+        x = (column + 1)[:, None, None] + ahead
+        y = row[:, None, None] + 0.5 + _ALONG[:, None]
+        both = np.stack(np.broadcast_arrays(x, y)[:: -1 if turned else 1], axis=-1)
+        places.append(both.reshape(-1, _TICKS, 2) / cells)
+        signs.append(np.repeat(sign, len(_ALONG)))
+        levers.append(np.repeat(sign - (2.0 * (column + 1) / cells - 1.0), len(_ALONG)))
+    return np.concatenate(places), np.concatenate(signs), np.concatenate(levers)
