@@ -138,6 +138,21 @@ def test_every_method_is_exact_without_noise(name):
     assert max(difference(found, T_ARM_BASE_CAMERA)) < 1e-9
 
 
+@pytest.mark.parametrize("name", SOLVERS)
+@pytest.mark.parametrize(("noise_m", "bound_m"), [(2e-4, 6e-4), (2e-3, 6e-3)])
+def test_every_method_is_near_the_truth_with_noise(name, noise_m, bound_m):
+    """Thirty noisy stands: the error of the calibration stays below that of three stands."""
+    errors = []
+    for seed in range(12):
+        pairs = pairs_of(30, noise_m, seed)
+        flange = np.array([pair.T_arm_base_tool0 for pair in pairs])
+        found = SOLVERS[name](flange, np.array([pair.T_camera_marker for pair in pairs]))
+        assert np.linalg.det(found[:3, :3]) == pytest.approx(1.0)
+        errors.append(difference(found, T_ARM_BASE_CAMERA))
+    assert np.median([distance for distance, _ in errors]) < bound_m
+    assert np.median([angle for _, angle in errors]) < bound_m
+
+
 def test_noise_shows_in_the_held_out_residual_and_in_the_verdict():
     calm, wild = calibrate(pairs_of(25, 2e-4)), calibrate(pairs_of(25, 2e-2))
     assert calm.verdict == "good"
@@ -146,6 +161,12 @@ def test_noise_shows_in_the_held_out_residual_and_in_the_verdict():
     assert 2e-4 < calm.held_out_m < 1e-3
     least = min(m + rad for m, rad in calm.methods.values())
     assert sum(calm.methods[calm.method]) == least
+
+
+def test_seven_methods_are_compared():
+    tried = calibrate(pairs_of(25, 2e-4)).methods
+    assert set(tried) == {"TSAI", "PARK", "HORAUD", "ANDREFF", "DANIILIDIS", "SHAH", "REFINED"}
+    assert all(m < 1.5e-3 and rad < 1.5e-3 for m, rad in tried.values())
 
 
 def test_a_wrong_pair_is_left_out_and_named():

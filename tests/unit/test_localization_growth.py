@@ -91,8 +91,8 @@ def test_squares_are_drawn_in_by_the_shift():
     assert np.isnan(intersections(np.array([[[0.0, 1.0, 2.0]] * 4]))).all()
 
 
-def test_skewed_edges_of_unclear_cells_take_the_corner_finder(light):
-    """Glare under a dark tone curve, and a print too rough to tell by how much."""
+def test_glare_and_a_rough_print_leave_the_corners_in_their_place(light):
+    """Edges are skewed by glare under a dark tone curve; the cells tell half a pixel."""
     image = photographed(light, 2.2, glare=0.2)
     for centre in CORNERS.mean(axis=1):
         x, y = np.rint(centre).astype(int)
@@ -102,10 +102,4 @@ def test_skewed_edges_of_unclear_cells_take_the_corner_finder(light):
             np.random.default_rng(1).normal(0.0, 160.0, inner.shape), (0, 0), 1.5
         )
         inner[:] = (inner + rough).clip(0, 255).astype(np.uint8)
-    chosen, finder = found(image, "auto"), found(image, "subpix")
-    # The last one is at the rim, where the distortion hides the skew.
-    np.testing.assert_allclose(chosen.corners[:2], finder.corners[:2])
-    assert np.all(chosen.floor_px[:2] >= 0.15)
-    assert error_px(image, "auto") < 0.15
-    clear = found(photographed(light, 2.2, glare=0.2), "auto")
-    assert np.all(clear.floor_px < 0.15), "clear cells tell by how much: lines stay"
+    assert error_px(image, "auto") < 0.6 * error_px(image, "subpix")

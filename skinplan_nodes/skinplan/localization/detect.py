@@ -18,10 +18,10 @@ from skinplan.transforms import Array
 log = logging.getLogger(__name__)
 
 CORNER_FINDERS = ("auto", "lines", "subpix")
-# Half the light lies farther inside than this: a dark tone curve over a blur with long ends. The
-# edges are then drawn outwards, by how much only clear cells tell ...
-_SKEWED_PX, _GROWTH_KNOWN_PX = -0.06, 0.02
-# ... and this share of it stays.
+# Half the light lies farther inside than this: a dark tone curve over a blur with long ends, which
+# draws the edges outwards.
+_SKEWED_PX = -0.06
+# Share of the shift that stays when it is taken off.
 _GROWTH_LEFT = 0.2
 # By how much blur draws the corners of OpenCV's finder inwards [px].
 _SUBPIX_PULL_PX = 0.15
@@ -204,11 +204,11 @@ class MarkerDetector:
         by_finder = np.full(len(ids), self._corners == "subpix")
         if self._corners != "subpix":
             growth, sigma = edge_growth(grey, ids, found.corners, self._book)
-            if self._corners == "auto":
-                by_finder = (found.skew_px < _SKEWED_PX) & (sigma > _GROWTH_KNOWN_PX)
             shift = common_growth(growth, sigma)
+            if shift == 0.0 and self._corners == "auto":
+                by_finder = found.skew_px < _SKEWED_PX
             if shift != 0.0:
-                own = found.fitted & ~by_finder
+                own = found.fitted
                 found.corners[own] = drawn_in(found.corners[own], shift)
                 found.floor_px[own] = np.hypot(found.floor_px[own], _GROWTH_LEFT * shift)
         for number in np.flatnonzero(by_finder | ~found.fitted):

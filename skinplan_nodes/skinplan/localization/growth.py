@@ -17,9 +17,10 @@ from skinplan.transforms import Array
 
 # Markers with smaller cells do not tell [px].
 LEAST_CELL_PX = 5.0
-# Profiles across an edge between two cells: half of their length in cells, places on them, and how
-# many at either end give the level; where along the edge they lie, in cells.
-_HALF, _TICKS, _LEVEL_TICKS = 0.45, 13, 2
+# Profiles across an edge between two cells: half of their length in cells and at most in pixels,
+# places on them, how many at either end give the level; where along the edge they lie, in cells.
+_HALF, _HALF_PX, _LEVEL_TICKS = 0.45, 4.0, 2
+_AHEAD = np.linspace(-1.0, 1.0, 13)
 _ALONG = np.array([-0.25, 0.0, 0.25])
 _LEAST_STEP = 25.0
 _LEAST_EDGES = 12
@@ -48,7 +49,9 @@ def edge_growth(
     side = np.linalg.norm(corners - corners[:, [3, 0, 1, 2]], axis=2).min(axis=1)
     for k in np.flatnonzero(side >= LEAST_CELL_PX * cells):
         bits = cv2.aruco.generateImageMarker(book, int(ids[k]), cells, borderBits=1) > 127
-        places, sign, lever = _profiles(bits.tobytes(), cells)
+        middle, across, sign, lever = _edges_of(bits.tobytes(), cells)
+        half = min(_HALF, _HALF_PX * cells / side[k]) * _AHEAD[:, None]
+        places = (middle[:, None] + half * across[:, None]) / cells
         growth[k], sigma[k] = _shift(grey, corners[k], places, sign, lever)
     return growth, sigma
 
@@ -96,25 +99,25 @@ def _shift(
 
 
 @lru_cache(maxsize=4096)
-def _profiles(bits: bytes, cells: int) -> tuple[Array, Array, Array]:
-    """Lays profiles across the edges between the cells of a print.
+def _edges_of(bits: bytes, cells: int) -> tuple[Array, Array, Array, Array]:
+    """Lists places on the edges between the cells of a print.
 
     Returns:
-        Places, shape (n, ticks, 2), as shares of the sides; +1 where white lies ahead, shape (n,);
-        and by how much of the shift an edge leaves the grid: the grid is drawn by corners that have
-        moved themselves, shape (n,).
+        The places and the directions across the edge, shape (n, 2) each, in cells; +1 where white
+        lies ahead, shape (n,); and by how much of the shift an edge leaves the grid: the grid is
+        drawn by corners that have moved themselves, shape (n,).
     """
     print_ = np.frombuffer(bits, dtype=bool).reshape(cells, cells)
-    ahead = np.linspace(-_HALF, _HALF, _TICKS)
-    places, signs, levers = [], [], []
-    for turned in (False, True):
-        cell = print_.T if turned else print_
+    middles, directions, signs, levers = [], [], [], []
+    for axis, cell in ((0, print_), (1, print_.T)):
         row, column = np.nonzero(cell[:, :-1] != cell[:, 1:])
         sign = np.where(cell[row, column + 1], 1.0, -1.0)
-        x = (column + 1)[:, None, None] + ahead
-        y = row[:, None, None] + 0.5 + _ALONG[:, None]
-        both = np.stack(np.broadcast_arrays(x, y)[:: -1 if turned else 1], axis=-1)
-        places.append(both.reshape(-1, _TICKS, 2) / cells)
+        x = np.repeat(column + 1.0, len(_ALONG))
+        y = (row[:, None] + 0.5 + _ALONG).ravel()
+        middles.append(np.stack([x, y] if axis == 0 else [y, x], axis=-1))
+        directions.append(np.tile(np.eye(2)[axis], (len(x), 1)))
         signs.append(np.repeat(sign, len(_ALONG)))
-        levers.append(np.repeat(sign - (2.0 * (column + 1) / cells - 1.0), len(_ALONG)))
-    return np.concatenate(places), np.concatenate(signs), np.concatenate(levers)
+        levers.append(signs[-1] - (2.0 * x / cells - 1.0))
+    parts = (middles, directions, signs, levers)
+    middle, across, sign, lever = (np.concatenate(part) for part in parts)
+    return middle, across, sign, lever

@@ -47,6 +47,38 @@ def horaud(flange: Array, marker: Array) -> Array:
     return _with_place(Rotation.from_quat([x, y, z, w]).as_matrix(), A, B)
 
 
+def andreff(flange: Array, marker: Array) -> Array:
+    """Andreff, Horaud and Espiau 1999: rotation and translation in one linear system."""
+    A, B = _motions(flange, marker)
+    count = len(A)
+    # Rows first: vec(R_A R R_B^T) = (R_A kron R_B) vec(R), and R t_B + (1 - R_A) t = t_A.
+    turns = np.eye(9) - np.einsum("kij,kmn->kimjn", A[:, :3, :3], B[:, :3, :3]).reshape(-1, 9, 9)
+    lever = np.einsum("ij,kn->kijn", np.eye(3), B[:, :3, 3]).reshape(count, 3, 9)
+    upper = np.concatenate([turns, np.zeros((count, 9, 3))], axis=2)
+    lower = np.concatenate([lever, np.eye(3) - A[:, :3, :3]], axis=2)
+    left = np.concatenate([upper, lower], axis=1).reshape(-1, 12)
+    right = np.concatenate([np.zeros((count, 9)), A[:, :3, 3]], axis=1).ravel()
+    wanted = np.linalg.lstsq(left, right, rcond=None)[0][:9].reshape(3, 3)
+    # The nine numbers are free of any constraint: the place is solved anew with a true rotation.
+    return _with_place(_nearest_rotation(wanted), A, B)
+
+
+def daniilidis(flange: Array, marker: Array) -> Array:
+    """Daniilidis 1999: the unit dual quaternion q with a q = q b, by singular vectors."""
+    A, B = _motions(flange, marker)
+    a, b = _quaternions(A)[:, 1:], _quaternions(B)[:, 1:]
+    dual_a, dual_b = _dual_parts(A)[:, 1:], _dual_parts(B)[:, 1:]
+    turn = _vector_equation(a, b)
+    upper = np.concatenate([turn, np.zeros_like(turn)], axis=2)
+    lower = np.concatenate([_vector_equation(dual_a, dual_b), turn], axis=2)
+    v = np.linalg.svd(np.concatenate([upper, lower]).reshape(-1, 8))[2]
+    first, second = v[6], v[7]
+    real, dual = _unit_dual(first, second)
+    w, x, y, z = real
+    place = 2.0 * (_right(real * [1.0, -1.0, -1.0, -1.0]) @ dual)[1:]
+    return transform(place, Rotation.from_quat([x, y, z, w]).as_matrix())
+
+
 def shah(flange: Array, marker: Array) -> Array:
     """Shah 2013: the rotation from the first singular vector of a sum of Kronecker products."""
     K = sum(np.kron(M[:3, :3], F[:3, :3]) for F, M in zip(flange, marker, strict=True))
@@ -84,6 +116,8 @@ SOLVERS: dict[str, Solver] = {
     "TSAI": tsai,
     "PARK": park,
     "HORAUD": horaud,
+    "ANDREFF": andreff,
+    "DANIILIDIS": daniilidis,
     "SHAH": shah,
     "REFINED": refined,
 }
@@ -127,6 +161,37 @@ def _quaternions(motions: Array) -> Array:
     """Returns unit quaternions (w, x, y, z) with w >= 0, shape (k, 4)."""
     found = Rotation.from_matrix(motions[:, :3, :3]).as_quat()[:, [3, 0, 1, 2]]
     return np.where(found[:, :1] < 0.0, -found, found)
+
+
+def _dual_parts(motions: Array) -> Array:
+    """Returns half of t q, the dual parts of unit dual quaternions, shape (k, 4)."""
+    places, turns = motions[:, :3, 3], _quaternions(motions)
+    along = np.einsum("ki,ki->k", places, turns[:, 1:])
+    vectors = turns[:, :1] * places + np.cross(places, turns[:, 1:])
+    return 0.5 * np.concatenate([-along[:, None], vectors], axis=1)
+
+
+def _vector_equation(a: Array, b: Array) -> Array:
+    """Returns (a - b, [a + b]x), what the vector parts of a q = q b say of q, shape (k, 3, 4)."""
+    cross = np.cross((a + b)[:, None], np.eye(3)).swapaxes(1, 2)
+    return np.concatenate([(a - b)[..., None], cross], axis=2)
+
+
+def _unit_dual(first: Array, second: Array) -> tuple[Array, Array]:
+    """Combines two vectors (q, q') to a unit dual quaternion: q of length 1, at right angles to q'.
+
+    Raises:
+        np.linalg.LinAlgError: No combination is one.
+    """
+    u, v, p, r = first[:4], first[4:], second[:4], second[4:]
+    # share^2 u.v + share (u.r + p.v) + p.r = 0
+    roots = np.roots([u @ v, u @ r + p @ v, p @ r])
+    real = [float(root.real) for root in roots if abs(root.imag) < 1e-6 * (1.0 + abs(root))]
+    if not real:
+        raise np.linalg.LinAlgError("no combination of the singular vectors is a unit motion")
+    share = max(real, key=lambda s: float(np.sum((s * u + p) ** 2)))
+    scale = 1.0 / np.linalg.norm(share * u + p)
+    return scale * (share * u + p), scale * (share * v + r)
 
 
 def _skew(v: Array) -> Array:
