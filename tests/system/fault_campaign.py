@@ -28,6 +28,8 @@ from skinplan_msgs.srv import InjectFault, JobCommand
 
 from nodes.bench import Bench
 from nodes.small_part import write_small_part
+from skinplan_nodes.conversions import stamp_from_msg
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.graph import GraphSettings, describe
 from skinplan_nodes.qos import LATCHED, STATE
 from system.graph_run import GraphRun
@@ -120,14 +122,17 @@ class Watch:
         self._poses: deque[tuple[float, np.ndarray]] = deque(maxlen=4000)
         self._joints, self._place = np.zeros(6), np.zeros(2)
         node.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
-        node.create_subscription(JointState, "joint_states", self._on_joints, STATE)
+        subscribe_draining(node, JointState, "joint_states", self._on_joints, STATE)
         node.create_subscription(Odometry, "odom", self._on_odometry, STATE)
 
     def stands(self, for_s: float) -> bool:
-        """Whether arm and base did not move during the next seconds of wall time."""
-        begin = time.monotonic()
+        """Whether arm and base do not move from the present status on, seconds of wall time.
+
+        Judged by the stamps: what this machine hears late happened before.
+        """
+        begin_s = stamp_from_msg(self.status.header.stamp)
         time.sleep(for_s)
-        seen = np.array([pose for at, pose in list(self._poses) if at >= begin])
+        seen = np.array([pose for at_s, pose in list(self._poses) if at_s >= begin_s])
         if not len(seen):
             return True
         spread = np.ptp(seen, axis=0)
@@ -150,7 +155,8 @@ class Watch:
 
     def _on_joints(self, message: JointState) -> None:
         self._joints = np.array(message.position)
-        self._poses.append((time.monotonic(), np.append(self._joints, self._place)))
+        stamp_s = stamp_from_msg(message.header.stamp)
+        self._poses.append((stamp_s, np.append(self._joints, self._place)))
 
     def _on_odometry(self, message: Odometry) -> None:
         place = message.pose.pose.position
