@@ -121,6 +121,7 @@ class RecordingSession:
             "dropped": self.dropped,
             "dropped_topics": ", ".join(f"{topic}: {count}" for topic, count in worst),
             "waiting_bytes": self._queue.waiting_bytes,
+            "refused": "" if self._queue.failure is None else str(self._queue.failure),
         }
 
     def discover(self) -> None:

@@ -3,6 +3,7 @@
 import resource
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -200,3 +201,18 @@ def test_bags_under_way_are_healed_at_the_next_start(tmp_path: Path) -> None:
     assert is_finished(tmp_path / "cut")
     assert noted.heal() == [], "in order by now, so their notes go"
     assert not [*noted.folder.iterdir()]
+
+
+def test_a_message_that_can_not_be_written_is_named_and_the_others_are_written(tmp_path):
+    bag = BagWriter(tmp_path / "bag")
+    bag.add_topic("/a", TYPE, "string data\n")
+    queue = MessageQueue(bag, 10_000)
+    queue.put("/a", string("good"), 1000, 1000)
+    queue.put("/unknown", string("bad"), 1001, 1001)
+    while queue.waiting_bytes:
+        time.sleep(0.01)
+    queue.put("/a", string("late"), 1002, 1002)
+    queue.finish()
+    assert queue.failure is not None and "/unknown" in str(queue.failure)
+    assert bag.finish().messages == 2
+    assert queue.dropped == {"/unknown": 1}

@@ -1,5 +1,6 @@
 """Messages on their way to a bag: a bounded queue, emptied by a thread of its own."""
 
+import logging
 import threading
 import time
 from collections import deque
@@ -9,6 +10,7 @@ from typing import NamedTuple
 from skinplan.errors import BagNotWritableError
 from skinplan.recording.bag import BagWriter
 
+_LOG = logging.getLogger(__name__)
 # What a waiting message costs beside its data [B].
 _OVERHEAD_BYTES = 200
 # So long the thread lets messages gather: one waking for many of them [s].
@@ -47,6 +49,7 @@ class MessageQueue:
 
     Attributes:
         dropped: Messages dropped so far by topic.
+        failure: Why the last message that the bag did not take was refused; None = all is well.
     """
 
     def __init__(self, writer: BagWriter, most_bytes: int) -> None:
@@ -60,6 +63,7 @@ class MessageQueue:
         self._ended = False
         self._failed = False
         self.dropped: dict[str, int] = {}
+        self.failure: BagNotWritableError | None = None
         self._thread = threading.Thread(target=self._run, name="bag writer", daemon=True)
         self._thread.start()
 
@@ -108,7 +112,18 @@ class MessageQueue:
             message = items.popleft()
             try:
                 write(*message)
-            except BagNotWritableError:
-                # The bag counts it as lost.
-                self._failed = True
+            except Exception as error:  # a thread that died in silence would lose all the rest
+                self._refused(message, error)
             self._taken_bytes += message.size_bytes
+
+    def _refused(self, message: QueuedMessage, error: Exception) -> None:
+        if self._writer.failure is not None:
+            # The disk: the bag counts it, and all that comes, as lost.
+            self._failed = True
+            return
+        _LOG.error("a message of %s is not recorded", message.topic, exc_info=error)
+        self.failure = BagNotWritableError(
+            f"a message of {message.topic} ({len(message.data)} bytes at {message.log_time_ns} ns) "
+            f"could not be written: {error}"
+        )
+        self.dropped[message.topic] = self.dropped.get(message.topic, 0) + 1
