@@ -6,7 +6,8 @@ import numpy as np
 
 from localization_scene import CAMERA, CELL, T_OPTICAL, base_facing
 from skinplan.errors import NoImageError
-from skinplan.localization.loop import ApproachLoop, ApproachSettings, View
+from skinplan.localization.loop import ApproachLoop, ApproachSettings
+from skinplan.localization.loop_cell import View
 from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.mock.camera import MockCamera
 from skinplan.part.defaults import default_fixture, default_placement
@@ -16,6 +17,8 @@ from skinplan.transforms import inverse
 BOUNDS = np.array([[-1.45, -0.4, -0.1], [1.45, 0.4, 0.1]])
 FIXTURE = default_fixture(BOUNDS)
 T_MAP_PANEL = default_placement(BOUNDS)
+# A start that is nearer leaves no room for the stopping error: the approach refuses to move there.
+START_ROOM_M = 0.3
 SETTINGS = ApproachSettings(
     CELL.quality.threshold, CELL.quality.max_attempts, max_misses=3, may_move=True, images=2
 )
@@ -26,7 +29,10 @@ class SimulatedCell:
 
     Attributes:
         goals: Where the base was sent.
-        nearest_m: Least distance of the camera from the marker plane where it was driven to [m].
+        nearest_m: Least distance of the camera from the marker plane on every way it was driven,
+            its turns included [m].
+        way_m: That of every drive [m].
+        watching: Whether images are looked at while driving.
         told_estimates: The loop's estimates.
     """
 
@@ -40,6 +46,8 @@ class SimulatedCell:
         self.looks = 0
         self.told_estimates: list = []
         self.nearest_m = np.inf
+        self.way_m: list[float] = []
+        self.watching = False
         self.change_image: Callable[[np.ndarray, int], np.ndarray] = lambda image, _: image
 
     def distance_m(self) -> float:
@@ -69,14 +77,25 @@ class SimulatedCell:
         self.goals.append(T_map_base_link)
         self.base.goal(T_map_base_link, self.now_s)
         end_s = self.now_s + self.base.remaining_s
-        for now_s in np.linspace(self.now_s, end_s, 25):
-            if is_cancelled():
-                self.base.cancel(float(now_s))
-                return False
+        self.way_m.append(np.inf)
+        for now_s in np.linspace(self.now_s, end_s, 8 if self.watching else 80)[1:]:
             self.base.step(float(now_s))
-        self.now_s = end_s
-        self.nearest_m = min(self.nearest_m, self.distance_m())
+            self.now_s = float(now_s)
+            self.way_m[-1] = min(self.way_m[-1], self.distance_m())
+            self.nearest_m = min(self.nearest_m, self.way_m[-1])
+            if is_cancelled():
+                self.base.cancel()
+                self.now_s += self.base.remaining_s
+                self.base.step(self.now_s)
+                return False
         return True
+
+    def glance(self) -> View | None:
+        if not self.watching:
+            return None
+        truth = inverse(self.base.true @ T_OPTICAL) @ T_MAP_PANEL
+        image = self.change_image(self.camera.render(truth), self.looks)
+        return View(image, CAMERA, "optical", self.now_s, 0.05)
 
     def seen(self, sighting, view) -> None:
         pass
@@ -89,7 +108,10 @@ class SimulatedCell:
 
 
 def random_start(seed: int) -> np.ndarray:
-    """Up to 3 m away, up to 60 degrees aside, turned a little off."""
+    """Up to 3 m away, up to 60 degrees aside, turned a little off; with room before d_min."""
     random = np.random.default_rng(seed)
     low, high = [-0.8, 0.9, -np.pi / 3, -0.15], [0.8, 3.0, np.pi / 3, 0.15]
-    return base_facing(*random.uniform(low, high))
+    while True:
+        x, distance, angle, turn = random.uniform(low, high)
+        if distance * np.cos(angle) >= CELL.quality.distance_min_m + START_ROOM_M:
+            return base_facing(x, distance, angle, turn)

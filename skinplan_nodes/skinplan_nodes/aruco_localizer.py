@@ -18,7 +18,8 @@ from tf2_msgs.msg import TFMessage
 
 from skinplan.errors import PartMovedError
 from skinplan.localization.chain import LocatedPart, moved_by
-from skinplan.localization.loop import ApproachLoop, ApproachSettings, Estimate, View
+from skinplan.localization.loop import ApproachLoop, ApproachSettings
+from skinplan.localization.loop_cell import Estimate, View
 from skinplan.localization.model import Sighting
 from skinplan.part.files import load_part
 from skinplan.part.model import Part
@@ -74,6 +75,10 @@ class GoalCell:
         arrived = self._node.base.drive(T_map_base_link, is_cancelled)
         self._not_before_s = self._node.now_s()
         return arrived
+
+    def glance(self) -> View | None:
+        """Returns the newest image, also while the base moves."""
+        return self._node.feed.next(0.0)
 
     def seen(self, sighting: Sighting, view: View) -> None:
         """Publishes what was seen."""

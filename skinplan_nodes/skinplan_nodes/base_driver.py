@@ -103,9 +103,14 @@ class BaseDriver:
         deadline = time.monotonic() + self._timeout_s
         while not _wait(result, _POLL_S):
             late = time.monotonic() > deadline
-            if late or is_cancelled():
-                _wait(handle.cancel_goal_async(), _CANCEL_S)
-                _wait(result, _CANCEL_S)
+            stop = True
+            try:
+                stop = late or is_cancelled()
+            finally:
+                if stop:
+                    _wait(handle.cancel_goal_async(), _CANCEL_S)
+                    _wait(result, _CANCEL_S)
+            if stop:
                 if not late:
                     return False
                 raise BaseBlockedError(

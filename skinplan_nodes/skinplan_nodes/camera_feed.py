@@ -14,7 +14,8 @@ from skinplan.errors import (
     NoImageError,
     StaleImageError,
 )
-from skinplan.localization.loop import View, cancelled
+from skinplan.localization.loop import cancelled
+from skinplan.localization.loop_cell import View
 from skinplan_nodes.conversions import (
     camera_info_from_msg,
     compressed_image_from_msg,

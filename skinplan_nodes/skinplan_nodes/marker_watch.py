@@ -8,7 +8,7 @@ from collections.abc import Callable
 from typing import Any
 
 from skinplan.errors import SkinplanError
-from skinplan.localization.loop import View
+from skinplan.localization.loop_cell import View
 from skinplan.localization.model import Sighting
 from skinplan.localization.tracking import MarkerTracker
 from skinplan.part.model import Fixture

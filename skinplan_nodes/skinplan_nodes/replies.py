@@ -52,7 +52,8 @@ CODES: dict[type[Exception], int] = {
     errors.PartMovedError: Status.PART_MOVED,
     errors.LocalizationCancelledError: Status.LOCALIZATION_CANCELLED,
     errors.FrameMissingError: Status.NO_TRANSFORM,
-    errors.LocalizationError: Status.NO_TRANSFORM,
+    # Each failure that a user can meet has a class of its own.
+    errors.LocalizationError: Status.INTERNAL,
     errors.NoCandidatesError: Status.NO_CANDIDATES,
     errors.NothingReachedError: Status.NOTHING_REACHED,
     errors.NoTrackerStationError: Status.NO_TRACKER_STATION,

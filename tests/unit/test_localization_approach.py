@@ -1,10 +1,12 @@
 """The approach-retry loop with a base that stops beside its goals."""
 
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
 
+from approach_cell import START_ROOM_M
 from localization_scene import (
     CAMERA,
     CELL,
@@ -15,12 +17,13 @@ from localization_scene import (
     observed,
     row_fixture,
 )
-from skinplan.errors import LocalizationError
+from skinplan.errors import QualityNotReachedError
 from skinplan.localization.approach import next_goal, stop_miss_m
 from skinplan.localization.pose import locate
+from skinplan.localization.way import SLANT_RAD, swept
 from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.robot.cell import CellConfig
-from skinplan.transforms import difference, planar, transform
+from skinplan.transforms import difference, heading, planar, transform
 
 FIXTURE = row_fixture()
 EXACT = replace(CELL, base_error_m=0.0, base_error_rad=0.0)
@@ -84,8 +87,41 @@ def test_markers_that_lie_flat_are_refused():
         located(base_facing(0, 1.5, 0)),
         T_camera_workpiece=camera_pose(base_facing(0, 1.5, 0), flat),
     )
-    with pytest.raises(LocalizationError, match="lie flat"):
+    with pytest.raises(QualityNotReachedError, match="lie flat"):
         next_goal(base_facing(0, 1.5, 0), pose, FIXTURE, CAMERA, CELL)
+
+
+def test_the_camera_keeps_its_distance_and_looks_at_the_part_while_driving():
+    """Of a way without errors: d_min holds, and drives are slanted by no more than the bound."""
+    for seed in range(40):
+        base, _ = random_start(seed)
+        here = base.believed
+        goal = next_goal(here, located(here), FIXTURE, CAMERA, CELL)
+        if goal is None:
+            continue
+        nearest = np.inf
+        for start, stop in pairwise([here, *goal.stops]):
+            poses = swept(start, stop)
+            nearest = min(nearest, *(-(pose @ T_OPTICAL)[1, 3] for pose in poses))
+            moved = np.linalg.norm(np.diff(poses[:, :2, 3], axis=0), axis=1) > 1e-9
+            slants = [abs(heading(pose)) for pose, on in zip(poses[1:], moved, strict=True) if on]
+            assert max(slants, default=0.0) <= SLANT_RAD + 1e-6, seed
+        assert nearest == pytest.approx(goal.clearance_m, abs=1e-6)
+        assert nearest >= CELL.quality.distance_min_m + 2.0 * CELL.base_error_m
+
+
+def test_the_swept_way_is_the_one_of_the_base():
+    """Turn, drive forward or backward, turn: as the mock base does it."""
+    random = np.random.default_rng(6)
+    for seed in range(30):
+        start, stop = (planar(*random.uniform(-2, 2, 2), random.uniform(-3, 3)) for _ in range(2))
+        base = MockBase(BaseConfig(), EXACT, seed, start)
+        base.goal(stop)
+        way = swept(start, stop)
+        for now in np.linspace(0.0, base.remaining_s, 25):
+            base.step(now)
+            apart = np.abs(way[:, :2] - base.true[:2]).max(axis=(1, 2))
+            assert apart.min() < 0.03, seed
 
 
 def random_start(seed):
@@ -93,13 +129,16 @@ def random_start(seed):
     random = np.random.default_rng(seed)
     while True:
         low, high = [-1.0, 0.9, -np.pi / 3, -0.2], [1.0, 3.0, np.pi / 3, 0.2]
-        base = MockBase(BaseConfig(), CELL, seed, base_facing(*random.uniform(low, high)))
+        x, distance, angle, turn = random.uniform(low, high)
+        if distance * np.cos(angle) < CELL.quality.distance_min_m + START_ROOM_M:
+            continue
+        base = MockBase(BaseConfig(), CELL, seed, base_facing(x, distance, angle, turn))
         if len(observed(camera_pose(base.true), FIXTURE).markers) >= 2:
             return base, random
 
 
 def approach(seed, cell: CellConfig):
-    """Runs the loop; returns E of every estimate and the nearest stop of the camera."""
+    """Runs the loop; returns E of every estimate and how near the camera came on its ways."""
     base, random = random_start(seed)
     reached, nearest, now = [], np.inf, 0.0
     for _ in range(cell.quality.max_attempts):
@@ -111,10 +150,12 @@ def approach(seed, cell: CellConfig):
         goal = next_goal(base.believed, pose, FIXTURE, CAMERA, cell)
         if goal is None:
             break
-        base.goal(goal.T_map_base_link, now)
-        now += base.remaining_s
-        base.step(now)
-        nearest = min(nearest, -(base.true @ T_OPTICAL)[1, 3])
+        for stop in goal.stops:
+            base.goal(stop, now)
+            begin, now = now, now + base.remaining_s
+            for at in np.linspace(begin, now, 40):
+                base.step(at)
+                nearest = min(nearest, -(base.true @ T_OPTICAL)[1, 3])
     return reached, nearest
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from skinplan.errors import InputError, LocalizationError
+from skinplan.errors import FrameMissingError, InputError
 from skinplan.localization.frames import TransformTree
 from skinplan.transforms import inverse, transform
 
@@ -42,18 +42,18 @@ def test_the_newest_counts():
 
 
 def test_unknown_frame_is_named_with_those_known():
-    with pytest.raises(LocalizationError, match="'nowhere'.*arm, base, camera, map, tracker"):
+    with pytest.raises(FrameMissingError, match="'nowhere'.*arm, base, camera, map, tracker"):
         filled().lookup("map", "nowhere")
-    with pytest.raises(LocalizationError, match="none"):
+    with pytest.raises(FrameMissingError, match="none"):
         TransformTree().lookup("map", "base")
-    with pytest.raises(LocalizationError, match="known are"):
+    with pytest.raises(FrameMissingError, match="known are"):
         filled().stamp("map")
 
 
 def test_two_trees_do_not_connect():
     tree = filled()
     tree.set("world", "robot", np.eye(4), 0.0)
-    with pytest.raises(LocalizationError, match="connects"):
+    with pytest.raises(FrameMissingError, match="connects"):
         tree.lookup("map", "robot")
 
 

@@ -82,7 +82,10 @@ def fails(cell, error, settings=SETTINGS, **loop):
 def test_on_failure_the_base_is_back_where_it_started():
     cell = SimulatedCell(1, START)
     fails(cell, QualityNotReachedError, replace(SETTINGS, threshold=1.0, max_attempts=3))
-    assert len(cell.goals) == 3, "two approaches, and the way back"
+    out, back = np.split(np.array(cell.goals), 2)
+    assert len(out) >= 2, "two approaches"
+    for there, again in zip([START, *out[:-1]], back[::-1], strict=True):
+        assert max(difference(there, again)) < 1e-9, "the way back is the way it came"
     assert max(difference(cell.base.believed, START)) < 1e-9
 
 
@@ -129,7 +132,8 @@ def test_base_that_reports_success_without_moving():
     cell.drive = lambda goal, is_cancelled: cell.goals.append(goal) or True
     error = fails(cell, BaseBlockedError)
     assert "2 drives" in str(error)
-    assert len(cell.goals) == 3
+    assert cell.looks == 3 * SETTINGS.images, "one look, and one after each of two drives"
+    assert max(difference(cell.goals[-1], START)) < 1e-9
 
 
 def test_base_that_refuses():
@@ -201,6 +205,46 @@ def test_a_part_that_jumps_farther_than_the_base_can_have_driven():
 
     cell.change_image = far_away
     fails(cell, PartMovedError)
+
+
+def test_a_camera_that_comes_too_near_while_driving_stops_the_base():
+    """What the images of a drive show counts, whatever odometry says; two in a row have to."""
+    cell, near = SimulatedCell(11, START), SimulatedCell(11, base_facing(0.0, 0.6, 0.0))
+    near.watching = True
+    looked = []
+
+    def nearer(*_):
+        looked.append(cell.base.moving)
+        return near.glance() if len(cell.goals) == 1 and len(looked) != 2 else None
+
+    cell.glance = nearer
+    error = fails(cell, SafeDistanceError)
+    assert "the base was stopped" in str(error)
+    assert "0.6" in str(error)
+    assert looked[2], "in the middle of the drive"
+    assert len(cell.goals) == 2, "nothing but the way back follows"
+    assert max(difference(cell.base.believed, START)) < 1e-9
+
+
+def test_one_image_that_shows_it_too_near_stops_nothing():
+    cell, near = SimulatedCell(11, START), SimulatedCell(11, base_facing(0.0, 0.6, 0.0))
+    near.watching = True
+    looked = []
+    cell.glance = lambda: looked.append(1) or (near.glance() if len(looked) == 3 else None)
+    assert cell.loop().run().quality >= CELL.quality.threshold
+    assert len(looked) > 3
+
+
+def test_the_images_of_a_good_drive_stop_nothing():
+    cell = SimulatedCell(12, base_facing(0.0, 2.0, 0.3))
+    cell.watching = True
+    assert cell.loop().run().quality >= CELL.quality.threshold
+
+
+def test_a_start_without_room_is_not_left():
+    cell = SimulatedCell(13, base_facing(0.0, 0.78, 0.3))
+    fails(cell, SafeDistanceError, replace(SETTINGS, threshold=1.0))
+    assert not cell.goals
 
 
 @pytest.mark.parametrize("after", [0, 3, 12, 40])

@@ -10,10 +10,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.errors import LocalizationError
+from skinplan.errors import QualityNotReachedError
 from skinplan.localization.camera import in_view
 from skinplan.localization.model import CameraModel, WorkpiecePose
 from skinplan.localization.solve import square_corners
+from skinplan.localization.way import plan_way
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array, apply, heading, inverse, planar, rotate
@@ -39,11 +40,16 @@ class Approach:
         phase: ``turning`` (face the marker at the same distance) or ``advancing``.
         T_map_base_link: Goal on the floor, shape (4, 4) [m].
         distance_m: Distance of the camera from the marker plane at the goal [m].
+        stops: Poses to drive to one after the other; the last is the goal.
+        clearance_m: Least distance of the camera from the marker plane on the way, when the base
+            stops where it was sent [m].
     """
 
     phase: str
     T_map_base_link: Array
     distance_m: float
+    stops: tuple[Array, ...]
+    clearance_m: float
 
 
 def next_goal(
@@ -56,9 +62,9 @@ def next_goal(
     """Plans the next step of the approach.
 
     The view is faced first if it is oblique; then the camera comes nearer by (d - d_min) / 2. The
-    goal keeps so far away that the stopping errors of the base at both ends of the drive can't
-    bring the camera nearer than d_min, and that at least two markers (or the one there is) stay in
-    the image for every such error.
+    goal keeps so far away that the camera comes nowhere on the way nearer than d_min, with the
+    stopping errors of the base at both ends, and that at least two markers (or the one there is)
+    stay in the image for every such error.
 
     Args:
         T_map_base_link: Where the base believes to stand, shape (4, 4) [m].
@@ -68,10 +74,11 @@ def next_goal(
         cell: Camera mounting, figures of eq (3), stopping error of the base.
 
     Returns:
-        The goal, or None when the view is faced and the safe distance is reached.
+        The goal, or None when the safe distance is reached: the view is faced, or no way to a
+        better one keeps the distance.
 
     Raises:
-        LocalizationError: The markers lie so flat that a level camera can't face them.
+        QualityNotReachedError: The markers lie so flat that a level camera can't face them.
     """
     T_map_optical = T_map_base_link @ cell.camera.T_base_link_optical
     target, normal, turned = _faced(T_map_optical, pose, fixture)
@@ -83,14 +90,20 @@ def next_goal(
     miss = stop_miss_m(cell, drive + distance - wanted + lever)
     wanted = max(wanted, cell.quality.distance_min_m + miss)
     markers = _plates(T_map_optical @ pose.T_camera_workpiece, fixture, pose.marker_ids)
-    farthest = max(distance, float(np.linalg.norm(T_map_optical[:2, 3] - target[:2])))
-    goal = _pose_before(target, normal, wanted, cell)
-    while wanted < farthest and not _enough_in_image(goal, markers, miss, camera, cell):
-        wanted += _STEP_BACK_M
+    farthest = max(distance, float(np.linalg.norm(T_map_optical[:2, 3] - target[:2])), wanted)
+    while wanted <= farthest + _STEP_BACK_M:
         goal = _pose_before(target, normal, wanted, cell)
-    if not facing and distance - wanted < LEAST_ADVANCE_M:
+        way = plan_way(T_map_base_link, goal, heading(goal), target, normal, cell)
+        reach = max(float(np.linalg.norm(s[:2, 3] - T_map_base_link[:2, 3])) for s in way.stops)
+        least = cell.quality.distance_min_m + stop_miss_m(cell, reach + lever)
+        safe = way.clearance_m >= least
+        if safe and _enough_in_image(goal, markers, miss, camera, cell):
+            break
+        wanted += _STEP_BACK_M
+    if not safe or (not facing and distance - wanted < LEAST_ADVANCE_M):
         return None
-    return Approach("turning" if facing else "advancing", goal, wanted)
+    phase = "turning" if facing else "advancing"
+    return Approach(phase, goal, wanted, way.stops, way.clearance_m)
 
 
 def stop_miss_m(cell: CellConfig, drive_m: float) -> float:
@@ -122,7 +135,7 @@ def _faced(
     normal = np.mean([frame[:3, 2] for frame in frames], axis=0) * [1.0, 1.0, 0.0]
     length = float(np.linalg.norm(normal))
     if length < _LEAST_LEVEL_NORMAL:
-        raise LocalizationError(
+        raise QualityNotReachedError(
             f"markers {pose.marker_ids.tolist()} lie flat (level part of normal {length:.2f});"
             f" at least {_LEAST_LEVEL_NORMAL} is accepted to face them with a camera on a base"
         )

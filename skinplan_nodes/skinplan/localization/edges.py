@@ -48,6 +48,8 @@ _MIXED_PX = 0.55
 _MAP_WIDTH = 1024
 # Shorter profiles do not reach the levels of black and white [px].
 _LEAST_REACH_PX = 3.0
+# The place of a sharper edge among the pixels looks like skew [px].
+_LEAST_WIDTH_PX = 0.6
 # Grey values, difference between the levels, which are good, half length.
 _Profiles = tuple[NDArray[np.float32], Array, NDArray[np.bool_], Array]
 _BEFORE, _AFTER = [3, 0, 1, 2], [1, 2, 3, 0]
@@ -168,7 +170,8 @@ def _profile_shape(
     width = 1.0 / (np.sqrt(2.0 * np.pi) * np.maximum(per_px, 1e-3))
     level = mean[:, :_LEVEL_TICKS].mean(axis=1) + mean[:, -_LEVEL_TICKS:].mean(axis=1)
     half = [np.interp(0.5 * at, row, _TICKS) for at, row in zip(level, mean, strict=True)]
-    skew = np.where(reach >= _LEAST_REACH_PX, np.array(half) * reach, 0.0)
+    tells = (reach >= _LEAST_REACH_PX) & (width >= _LEAST_WIDTH_PX)
+    skew = np.where(tells, np.array(half) * reach, 0.0)
     return np.exp(-0.5 * (reach / width) ** 2), skew
 
 

@@ -1,6 +1,6 @@
 """The newest transforms between named frames."""
 
-from skinplan.errors import InputError, LocalizationError
+from skinplan.errors import FrameMissingError, InputError
 from skinplan.transforms import Array, inverse, require_transform, transform
 
 
@@ -41,18 +41,18 @@ class TransformTree:
         """Returns ``T_target_source``, shape (4, 4) [m].
 
         Raises:
-            LocalizationError: A frame is not known, or nothing connects the two.
+            FrameMissingError: A frame is not known, or nothing connects the two.
         """
         known = self.frames
         for name in (target, source):
             if name not in known and target != source:
-                raise LocalizationError(
+                raise FrameMissingError(
                     f"frame {name!r} was asked; known are {', '.join(known) or 'none'}"
                 )
         up_source, up_target = self._chain(source), self._chain(target)
         common = next((name for name in up_source if name in up_target), None)
         if common is None:
-            raise LocalizationError(
+            raise FrameMissingError(
                 f"{target!r} from {source!r} was asked, but nothing connects them; known are "
                 f"{', '.join(known)}"
             )
@@ -62,10 +62,10 @@ class TransformTree:
         """Returns the time of a frame's transform to its parent [s].
 
         Raises:
-            LocalizationError: The frame has no parent.
+            FrameMissingError: The frame has no parent.
         """
         if child not in self._parents:
-            raise LocalizationError(
+            raise FrameMissingError(
                 f"the age of frame {child!r} was asked; known are "
                 f"{', '.join(self.frames) or 'none'}"
             )

@@ -6,7 +6,6 @@ drives blind; every turn of the loop uses up one attempt, so it ends.
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,15 +23,16 @@ from skinplan.errors import (
     StaleImageError,
 )
 from skinplan.localization.approach import Approach, next_goal, stop_miss_m
+from skinplan.localization.drive_watch import DriveWatch
 from skinplan.localization.fuse import fuse
-from skinplan.localization.model import CameraModel, Sighting, WorkpiecePose
+from skinplan.localization.loop_cell import Cell, Estimate, View
+from skinplan.localization.model import Sighting, WorkpiecePose
 from skinplan.localization.pose import locate
 from skinplan.localization.tracking import MarkerTracker
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array, difference, inverse
 
-_NO_POSE = float("nan")
 # A camera with noise never gives the same image twice; so many repetitions are no chance.
 _REPEATS = 2
 # A drive that moves the camera by less than this share of its way has not taken place ...
@@ -41,25 +41,6 @@ _DRIVEN_SHARE = 0.25
 _STALLS = 2
 # Drives below twice the stopping error can't be told from standing still.
 _TELLING = 2.0
-
-
-@dataclass(frozen=True, eq=False)
-class View:
-    """One image with the camera that took it.
-
-    Attributes:
-        image: shape (h, w) grey or (h, w, 3) BGR.
-        camera: The camera.
-        frame: Its optical frame.
-        stamp_s: Time of the image [s].
-        age_s: How old it was when it was taken over [s].
-    """
-
-    image: NDArray[np.uint8]
-    camera: CameraModel
-    frame: str
-    stamp_s: float
-    age_s: float
 
 
 @dataclass(frozen=True)
@@ -79,49 +60,6 @@ class ApproachSettings:
     max_misses: int
     may_move: bool
     images: int = 1
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """One estimate; the last one of a loop is its result.
-
-    Attributes:
-        phase: detecting, turning or advancing: what led to it.
-        attempt: From 1.
-        pose: The pose; None = none was found.
-        stamp_s: Time of the image [s].
-        frame: Optical frame of the camera.
-    """
-
-    phase: str
-    attempt: int
-    pose: WorkpiecePose | None
-    stamp_s: float
-    frame: str
-
-    @property
-    def quality(self) -> float:
-        """E of eq (3); NaN = no pose."""
-        return _NO_POSE if self.pose is None else self.pose.quality
-
-
-class Cell(Protocol):
-    """What the loop needs of the cell."""
-
-    def look(self, after_s: float, is_cancelled: Callable[[], bool]) -> View:
-        """Waits for an image that is newer than a time and than the last motion of the base."""
-
-    def lookup(self, target: str, source: str) -> Array:
-        """Returns ``T_target_source``."""
-
-    def drive(self, T_map_base_link: Array, is_cancelled: Callable[[], bool]) -> bool:
-        """Drives; False = cancelled."""
-
-    def seen(self, sighting: Sighting, view: View) -> None:
-        """Is told what was seen in an image."""
-
-    def told(self, estimate: Estimate) -> None:
-        """Is told each estimate."""
 
 
 class ApproachLoop:
@@ -157,8 +95,10 @@ class ApproachLoop:
         self._after_s = 0.0
         self._last_image: NDArray[np.uint8] | None = None
         self._repeats = 0
-        # The camera before the last drive, in the workpiece, and the length of that drive.
-        self._before: tuple[Array, float] | None = None
+        # The camera before the last drive, in the workpiece; how far that drive was to bring it,
+        # and how far at most if the wheels slip on a part.
+        self._before: tuple[Array, float, float] | None = None
+        self._stops: list[Array] = []
         self._stalls = 0
         self.attempts = 0
         self.best_quality = 0.0
@@ -241,11 +181,11 @@ class ApproachLoop:
         """Compares what the image says of the last drive with its length."""
         if self._before is None:
             return
-        T_workpiece_before, length = self._before
+        T_workpiece_before, length, reach = self._before
         self._before = None
         way = difference(T_workpiece_before, inverse(pose.T_camera_workpiece))[0]
         miss = stop_miss_m(self._config, length)
-        if way > length + miss:
+        if way > reach + stop_miss_m(self._config, reach):
             raise PartMovedError(
                 f"the camera was driven {length:.2f} m, but the part is seen as if it were "
                 f"{way:.2f} m; the markers of one part that stands still are accepted"
@@ -268,20 +208,24 @@ class ApproachLoop:
             raise QualityNotReachedError(
                 f"{reached} was asked for within {settings.max_attempts} attempts"
             )
-        goal, length = self._goal(view, pose)
+        goal, length, reach = self._goal(view, pose)
         if goal is None:
             raise SafeDistanceError(
                 f"{reached} was asked for, but the camera is {pose.distance_m:.2f} m before the "
                 f"marker and may come no nearer"
             )
         self._moved = True
-        self._before = (inverse(pose.T_camera_workpiece), length)
-        if not self._cell.drive(goal.T_map_base_link, self._is_cancelled):
-            raise cancelled()
+        self._before = (inverse(pose.T_camera_workpiece), length, reach)
+        watch = DriveWatch(self._cell, self._config, self._fixture, self._is_cancelled)
+        for stop in goal.stops:
+            self._stops.append(self._cell.lookup("map", "base_link"))
+            if not self._cell.drive(stop, watch.must_stop):
+                watch.explain()
+                raise cancelled()
         return goal.phase
 
-    def _goal(self, view: View, pose: WorkpiecePose) -> tuple[Approach | None, float]:
-        """Returns the next goal and how far the camera gets by it [m]."""
+    def _goal(self, view: View, pose: WorkpiecePose) -> tuple[Approach | None, float, float]:
+        """Returns the next goal, and how far the camera gets by it: without slips, at most [m]."""
         mounted = self._cell.lookup("base_link", view.frame)
         if not np.allclose(mounted, self._config.camera.T_base_link_optical, atol=1e-4):
             raise FrameMissingError(
@@ -291,14 +235,24 @@ class ApproachLoop:
         here = self._cell.lookup("map", "base_link")
         goal = next_goal(here, pose, self._fixture, view.camera, self._config)
         if goal is None:
-            return None, 0.0
-        return goal, difference(here @ mounted, goal.T_map_base_link @ mounted)[0]
+            return None, 0.0, 0.0
+        length = difference(here @ mounted, goal.T_map_base_link @ mounted)[0]
+        # A slip on one of two slanted drives leaves the base farther aside than the goal is away.
+        starts = (here, *goal.stops[:-1])
+        drives = [difference(a, b)[0] for a, b in zip(starts, goal.stops, strict=True)]
+        turned = (goal.T_map_base_link - here)[:3, :3]
+        swing = float(np.linalg.norm(turned @ mounted[:3, 3]))
+        return goal, length, max(length, max(drives) + swing)
 
     def _returned(self, start: Array, error: SkinplanError) -> SkinplanError:
-        """Brings the base back, and returns the error with what became of that."""
+        """Brings the base back, and returns the error with what became of that.
+
+        It goes back the way it came: that way was clear.
+        """
         try:
-            if not self._cell.drive(start, self._is_cancelled):
-                return cancelled()
+            for stop in [*reversed(self._stops[1:]), start]:
+                if not self._cell.drive(stop, self._is_cancelled):
+                    return cancelled()
         except SkinplanError as second:
             return type(error)(
                 f"{error}; the base could not be brought back to its start: {second}"
