@@ -232,8 +232,10 @@ def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) 
     folder = Path(last["run_folder"])
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["job"]["state"] == "Aborted"
-    assert summary["error"]["node"] == "station_planner"
-    assert summary["error"]["code"] == 603
+    # Who is first: the supervisor, which misses the node, or the job client, which is told by the
+    # runner and aborts the job.
+    assert "station_planner" in summary["error"]["message"]
+    assert summary["error"]["code"] in (603, 804)
     with AnyReader([folder / "bag"]) as reader:
         assert reader.message_count > 0
     run.wait_gone()
