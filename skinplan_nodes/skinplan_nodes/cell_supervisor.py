@@ -124,7 +124,12 @@ class CellSupervisor(CellNode):
             Path(values.jobs_file) if values.jobs_file else runs_folder / "jobs.sqlite"
         )
         self._desk = JobDesk(
-            self._store, self._start_job, self._on_change, Status.JOB_ABORTED, values.auto_start
+            self._store,
+            self._start_job,
+            self._on_change,
+            Status.JOB_ABORTED,
+            values.auto_start,
+            dead_node=self._watch.dead,
         )
         self._serve()
         self._take_over(runs_folder)

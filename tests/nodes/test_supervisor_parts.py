@@ -53,6 +53,20 @@ def test_watch_is_patient_with_a_busy_machine() -> None:
     assert watch.is_lost("a", 20.1), "it hangs"
 
 
+def test_watch_names_a_dead_process_at_once_but_none_of_another_machine() -> None:
+    running = {7, 8}
+    watch = NodeWatch(("far", "a", "b"), process_runs=lambda pid: pid in running)
+    watch.beat("far", 0.0, pid=99)
+    watch.beat("a", 0.0, pid=7)
+    watch.beat("b", 0.0, pid=8)
+    assert watch.dead() is None, "nobody here knows the process of the far one"
+    running.discard(8)
+    assert watch.dead() == "b" and watch.lost(0.1) is None
+    running.add(9)
+    watch.beat("b", 0.2, pid=9)
+    assert watch.dead() is None, "it was started again"
+
+
 def test_a_dead_process_does_not_run() -> None:
     child = subprocess.Popen([sys.executable, "-S", "-c", ""])
     assert process_runs(os.getpid())

@@ -221,7 +221,7 @@ def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) 
     run.node("station_planner").send_signal(signal.SIGTERM)
     killed_s = time.monotonic()
     over = run.until(lambda e: e.get("state") == "Aborted")
-    assert time.monotonic() - killed_s < 60.0, "not only after a time-out of the planner"
+    assert time.monotonic() - killed_s < 10.0
     assert run.wait() == 1
     died = next(event for event in run.events if event["event"] == "node_died")
     assert died["node"] == "station_planner"
@@ -232,10 +232,8 @@ def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) 
     folder = Path(last["run_folder"])
     summary = json.loads((folder / "summary.json").read_text())
     assert summary["job"]["state"] == "Aborted"
-    # Who is first: the supervisor, which misses the node, or the job client, which is told by the
-    # runner and aborts the job.
-    assert "station_planner" in summary["error"]["message"]
-    assert summary["error"]["code"] in (603, 804)
+    assert summary["error"]["node"] == "station_planner"
+    assert summary["error"]["code"] == 603
     with AnyReader([folder / "bag"]) as reader:
         assert reader.message_count > 0
     run.wait_gone()

@@ -10,6 +10,7 @@ from skinplan.jobs.model import Job, JobCommand, JobRecord, JobState
 from skinplan.jobs.states import apply_command
 from skinplan.jobs.store import JobStore
 from skinplan_nodes.supervisor.control import JobControl, Request, StepError
+from skinplan_nodes.supervisor.faults import NODE_LOST
 from skinplan_nodes.supervisor.machine import Event, State, job_state
 from skinplan_nodes.supervisor.progress import Progress
 
@@ -31,6 +32,7 @@ class JobDesk:
         start: Called with a job that is to run now; returns at once.
         on_change: Called with every changed record.
         aborted_code: Status code of a job that somebody aborts.
+        dead_node: Name of a node of the cell that has died; None = there is none.
         auto_start: Jobs may start as soon as they are handed in.
     """
 
@@ -41,12 +43,15 @@ class JobDesk:
         on_change: Callable[[JobRecord], None],
         aborted_code: int,
         auto_start: bool = True,
+        *,
+        dead_node: Callable[[], str | None] = lambda: None,
     ) -> None:
         self._store = store
         self._start = start
         self._on_change = on_change
         self._aborted_code = aborted_code
         self._auto_start = auto_start
+        self._dead_node = dead_node
         self._lock = threading.RLock()
         self._active: JobRecord | None = None
         self._control = JobControl()
@@ -223,10 +228,18 @@ class JobDesk:
     def _command_active(self, record: JobRecord, asked: JobCommand, reason: str) -> JobRecord:
         _log.info("job %s: %s (%s)", record.job.job_id, asked.name, reason)
         if asked in (JobCommand.ABORT, JobCommand.CANCEL):
-            self._control.abort(self._aborted_code, _sentence(asked, reason))
+            self._abort(_sentence(asked, reason))
         else:
             self._control.ask(Request(_EVENTS[asked], message=_sentence(asked, reason)))
         return record
+
+    def _abort(self, text: str) -> None:
+        """Who aborts a job because a node has died is told so by the node's name and code."""
+        dead = self._dead_node()
+        if dead is None:
+            self._control.abort(self._aborted_code, text)
+        else:
+            self._control.abort(NODE_LOST, f"node {dead} was lost; {text}", dead)
 
 
 def _sentence(command: JobCommand, reason: str) -> str:

@@ -35,6 +35,7 @@ class NodeWatch:
     _last_beat_s: dict[str, float] = field(default_factory=dict)
     _pids: dict[str, int] = field(default_factory=dict)
     _gone: dict[str, int] = field(default_factory=dict)
+    _here: set[str] = field(default_factory=set)
 
     # The graph of a loaded machine may miss a node for one look: two in a row count.
     _LOOKS = 2
@@ -53,6 +54,8 @@ class NodeWatch:
         name = node.rsplit("/", 1)[-1]
         another = self._pids.get(name, pid) != pid
         self._last_beat_s[name] = now_s
+        if name not in self._here or another:
+            (self._here.add if self.process_runs(pid) else self._here.discard)(name)
         self._pids[name] = pid
         self._gone.pop(name, None)
         return another
@@ -75,6 +78,14 @@ class NodeWatch:
         present = set(names_in_graph)
         for name in self._last_beat_s:
             self._gone[name] = 0 if name in present else self._gone.get(name, 0) + 1
+
+    def dead(self) -> str | None:
+        """Returns the first required node whose process, seen on this machine, runs no more.
+
+        It is known at once, before the node is missed: for whoever asks why a job is aborted.
+        """
+        here = (name for name in self.required if name in self._here)
+        return next((name for name in here if not self.process_runs(self._pids[name])), None)
 
     def missing(self) -> tuple[str, ...]:
         """Returns the required nodes that were never seen."""
