@@ -34,13 +34,13 @@ class EndTimes:
     """How long the stages of the end may take, on wall time.
 
     Attributes:
-        grace_s: From the death of a node until the client is interrupted: the supervisor ends the
-            job in it [s].
+        grace_s: From the death of a node until the client is interrupted, which aborts the job: the
+            supervisor brings arm and base to rest meanwhile [s].
         client_s: From the client's interrupt until all others are terminated [s].
         terminate_s: From there until what is left is killed [s].
     """
 
-    grace_s: float = 12.0
+    grace_s: float = 2.0
     client_s: float = 2.5
     terminate_s: float = 1.8
 
