@@ -124,8 +124,7 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
         NodeSpec("aruco_localizer", parameters={**cell, **_patience(settings)}),
         NodeSpec("part_recognizer", required=False, parameters=clock),
         NodeSpec("scan_inspector", parameters=cell),
-        # On wall time: a drawing needs no clock, and every tick costs.
-        NodeSpec("cell_view", required=False, parameters=_view(settings)),
+        NodeSpec("cell_view", required=False, parameters={**cell, "part_uri": settings.part_uri}),
     ]
     started = [node for node in nodes if settings.simulated or not node.simulated]
     return (*started, _supervisor(settings, started, cell))
@@ -136,10 +135,6 @@ def _stands(settings: GraphSettings, device: str) -> dict[str, ParameterValue]:
     if not settings.clock_file:
         return {}
     return {"state_file": str(Path(settings.clock_file).with_name(f"{device}.state"))}
-
-
-def _view(settings: GraphSettings) -> dict[str, ParameterValue]:
-    return {"cell_file": settings.cell_file, "part_uri": settings.part_uri}
 
 
 def _patience(settings: GraphSettings) -> dict[str, ParameterValue]:

@@ -41,9 +41,7 @@ def test_graph_without_a_part_has_no_mocks_and_no_simulated_time() -> None:
     assert set(mocked) - set(real) == {name for name, node in mocked.items() if node.simulated}
     assert not any(node.parameters.get("use_sim_time") for node in real.values())
     assert all(
-        node.parameters["use_sim_time"]
-        for name, node in mocked.items()
-        if name not in ("sim_clock", "cell_view")
+        node.parameters["use_sim_time"] for name, node in mocked.items() if name != "sim_clock"
     )
 
 
