@@ -94,7 +94,7 @@ def write_ball_bar(folder: Path) -> Part:
 class BallBar:
     """Scans the ball bar with a `MockCtrack` in a bench."""
 
-    def __init__(self, bench: Bench, part: Part, seed: int, frames: int = 100) -> None:
+    def __init__(self, bench: Bench, part: Part, seed: int, frames: int = 150) -> None:
         self._bench = bench
         self._frames = frames
         self._random = np.random.default_rng([seed, 0xBA77])
