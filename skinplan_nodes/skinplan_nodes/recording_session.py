@@ -298,22 +298,5 @@ def recorded_qos(profile: QoSProfile) -> RecordedQos:
     )
 
 
-def offered_qos(recorded: RecordedQos) -> QoSProfile:
-    """Returns the QoS with which a recorded topic is published again."""
-    reliable = recorded.reliability != "best_effort"
-    return QoSProfile(
-        history=QoSHistoryPolicy.KEEP_LAST,
-        depth=recorded.depth or _DEPTH,
-        reliability=(
-            QoSReliabilityPolicy.RELIABLE if reliable else QoSReliabilityPolicy.BEST_EFFORT
-        ),
-        durability=(
-            QoSDurabilityPolicy.TRANSIENT_LOCAL
-            if recorded.latched
-            else QoSDurabilityPolicy.VOLATILE
-        ),
-    )
-
-
 def _name(policy: Any) -> str:
     return str(policy.short_key)

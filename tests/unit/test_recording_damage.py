@@ -195,8 +195,9 @@ def readable(file: Path) -> list[bytes]:
         return []
 
 
-def test_damage_of_every_kind(tmp_path: Path) -> None:
-    check_damaged(tmp_path, seed=1, count=40)
+@pytest.mark.parametrize("seed", [1, 21, 24])
+def test_damage_of_every_kind(tmp_path: Path, seed: int) -> None:
+    check_damaged(tmp_path, seed, count=40)
 
 
 @pytest.mark.long

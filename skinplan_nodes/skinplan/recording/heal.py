@@ -12,9 +12,11 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator
+from contextlib import closing
 from pathlib import Path
 
 from mcap.opcode import Opcode
+from mcap.reader import SeekingReader
 
 from skinplan.errors import BagInvalidError, BagNotFoundError, BagNotWritableError
 from skinplan.recording.disk import lock_file, sync_folder, write_error
@@ -27,8 +29,8 @@ from skinplan.recording.heal_metadata import (
     recorded_document,
 )
 from skinplan.recording.heal_report import HealedFile, HealReport
-from skinplan.recording.mcap_file import FileIndex, iterate, read_index
 from skinplan.recording.mcap_output import McapOutput
+from skinplan.recording.mcap_storage import McapStorage
 from skinplan.recording.metadata import (
     FILE_NAME,
     RECORD_NAME,
@@ -37,6 +39,7 @@ from skinplan.recording.metadata import (
     metadata_text,
 )
 from skinplan.recording.salvage import MAGIC, Source, walk
+from skinplan.recording.storage import StorageInfo, naming_damage
 
 _LOG = logging.getLogger(__name__)
 _FOOTER = struct.Struct("<BQQQI")
@@ -103,13 +106,11 @@ def _heal_file(path: Path, thorough: bool) -> HealedFile:
     with _opened(path) as source:
         _require_mcap(path, source)
         if _ends_in_order(path) and not (thorough and _is_damaged(source)):
-            try:
-                index = read_index(path)
-                if thorough:
-                    _read_all(index)
-                return _in_order(path, index, source.size)
-            except BagInvalidError:
-                pass  # closed, but its index can't be used
+            found = _usable(path, thorough)
+            if found is not None:
+                return HealedFile(
+                    path, False, found.messages, found.start_ns, found.end_ns, source.size
+                )
         return _healed(path, source)
 
 
@@ -158,18 +159,31 @@ def _is_damaged(source: Source) -> bool:
     return any(found.opcode == 0 or found.cut or found.mended for found in walk(source))
 
 
-def _read_all(index: FileIndex) -> None:
-    """Reads a file to its end: in a chunk without a CRC nothing else tells that it is damaged.
+def _read_all(path: Path) -> None:
+    with naming_damage(path), path.open("rb") as stream:
+        size = path.stat().st_size
+        reader = SeekingReader(stream, validate_crcs=True, record_size_limit=size)
+        for _ in reader.iter_messages():
+            pass
 
-    Raises:
-        BagInvalidError: It can't be read.
+
+def _usable(path: Path, thorough: bool) -> StorageInfo | None:
+    """Returns what is in a closed file; None = its index, or what it holds, can't be read.
+
+    Args:
+        path: The file.
+        thorough: Read it to its end: in a chunk without a CRC nothing else tells that it is
+            damaged. By the reader of the format's makers, too: each takes what the other does not.
     """
-    for _ in iterate(index, None, None):
-        pass
-
-
-def _in_order(path: Path, index: FileIndex, size: int) -> HealedFile:
-    return HealedFile(path, False, index.messages, index.start_ns, index.end_ns, size)
+    try:
+        with closing(McapStorage(path)) as storage:
+            if thorough:
+                for _ in storage.messages(None, None, None):
+                    pass
+                _read_all(path)
+            return storage.info
+    except BagInvalidError:
+        return None
 
 
 def _healed(path: Path, source: Source) -> HealedFile:
@@ -225,7 +239,7 @@ def _keep(path: Path, kept: Path) -> None:
 
 def _add_record(output: McapOutput, done: Salvaged, result: HealedFile) -> None:
     """Writes the ``rosbag2`` record that a file closed in order ends with."""
-    before = recorded_document(done.metadata)
+    before = recorded_document(done.metadata.get("serialized_metadata", ""))
     document = metadata_document(
         [FileFigures(result.path.name, result.messages, result.start_ns, result.end_ns)],
         described_topics(output.described, output.counts),

@@ -1,6 +1,7 @@
 """Builds ``metadata.yaml`` anew from the files of a bag."""
 
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,7 @@ import yaml
 from mcap.records import Channel, Schema
 
 from skinplan.errors import BagInvalidError
-from skinplan.recording.mcap_file import FileIndex, read_index
+from skinplan.recording.mcap_storage import McapStorage
 from skinplan.recording.metadata import (
     FileFigures,
     metadata_document,
@@ -17,6 +18,7 @@ from skinplan.recording.metadata import (
 )
 from skinplan.recording.model import BagTopic
 from skinplan.recording.qos import QosProfile, qos_profiles
+from skinplan.recording.storage import StorageInfo
 
 _DISTRO = "jazzy"
 
@@ -33,17 +35,17 @@ def rebuild_metadata(folder: Path, files: Sequence[Path], healed: str) -> None:
         BagInvalidError: A file can't be read.
         OSError: The disk does not take it.
     """
-    indexes = [read_index(file) for file in files]
+    infos = [storage_info(file) for file in files]
     facts: dict[str, str] = {}
     distro = _DISTRO
-    for index in indexes:
-        document = recorded_document(index.metadata)
+    for info in infos:
+        document = recorded_document(info.metadata)
         facts.update(custom_data(document))
         distro = str(document.get("ros_distro") or distro)
     if healed:
         facts["healed"] = healed
-    figures = [FileFigures(i.path.name, i.messages, i.start_ns, i.end_ns) for i in indexes]
-    topics = merged_topics(_topics_of(index) for index in indexes)
+    figures = [FileFigures(i.path.name, i.messages, i.start_ns, i.end_ns) for i in infos]
+    topics = merged_topics(info.topics for info in infos)
     write_metadata(folder, metadata_document(figures, topics, facts, distro))
 
 
@@ -59,10 +61,20 @@ def metadata_fits(folder: Path, files: Sequence[Path]) -> bool:
     return sorted(Path(str(name)).name for name in named) == sorted(file.name for file in files)
 
 
-def recorded_document(record: Mapping[str, str]) -> dict[str, Any]:
-    """Reads the document in a ``rosbag2`` record; empty when there is none that can be read."""
+def storage_info(path: Path) -> StorageInfo:
+    """Returns what is in one MCAP file.
+
+    Raises:
+        BagInvalidError: It can't be read.
+    """
+    with closing(McapStorage(path)) as storage:
+        return storage.info
+
+
+def recorded_document(text: str) -> dict[str, Any]:
+    """Reads the text of a ``rosbag2`` record; empty when there is none that can be read."""
     try:
-        found = yaml.safe_load(record.get("serialized_metadata", ""))
+        found = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError):
         return {}
     return found if isinstance(found, dict) else {}
@@ -105,13 +117,6 @@ def merged_topics(parts: Iterable[Sequence[BagTopic]]) -> list[BagTopic]:
                 topic.encoding,
             )
     return list(merged.values())
-
-
-def _topics_of(index: FileIndex) -> list[BagTopic]:
-    described = [
-        (channel, index.schemas.get(channel.schema_id)) for channel in index.channels.values()
-    ]
-    return described_topics(described, index.counts)
 
 
 def _topic(channel: Channel, schema: Schema | None, messages: int) -> BagTopic:

@@ -65,11 +65,6 @@ class StationMotion:
         return self.spans[self.kinds == SCAN]
 
     @property
-    def transit_spans(self) -> Array:
-        """Begin and end of each transit, shape (s, 2) [s]."""
-        return self.spans[self.kinds != SCAN]
-
-    @property
     def break_s(self) -> Array:
         """When the scan is broken off to go on elsewhere, shape (b,) [s]."""
         return self.scan_spans[:-1, 1]
