@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from skinplan import console
-from skinplan.bag_command import bag_app
-from skinplan.bag_export_command import export
 from skinplan.cell_run import CellRun, RunRequest
+from skinplan.commands.bag import bag_app
+from skinplan.commands.bag_export import export
 from skinplan.commands.calibrate import calibrate_camera
 from skinplan.commands.markers import markers
 from skinplan.commands.replay import replay
