@@ -10,9 +10,11 @@ from skinplan.part.model import Part
 from skinplan.part.resolve import resolve_part
 
 
-def write_small_part(folder: Path, height_m: float = 0.03) -> Part:
+def write_small_part(
+    folder: Path, height_m: float = 0.03, size_m: tuple[float, float] = (0.5, 0.3)
+) -> Part:
     """Writes mesh and part file; the bump is so high."""
-    surface = meshes.grid(0.5, 0.3, 0.01, lambda x, y: meshes.bump(x, y, height_m, 0.06))
+    surface = meshes.grid(*size_m, 0.01, lambda x, y: meshes.bump(x, y, height_m, 0.06))
     path = folder / "panel.stl"
     trimesh.Trimesh(surface.vertices, surface.faces, process=False).export(path)
     return resolve_part(str(path), "m", folder)

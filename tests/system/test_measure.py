@@ -11,14 +11,12 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from rosbags.highlevel import AnyReader
 
-import meshes
+from nodes.small_part import write_small_part
 from skinplan.inspection.cloud import read_ply
-from skinplan.part.resolve import resolve_part
 from skinplan.robot.cell import CellConfig
 from system.graph_run import GraphRun
 
@@ -57,9 +55,7 @@ for number, wanted in ((PAUSE, INTERRUPTED), (PAUSE, INTERRUPTED), (RESUME, RUNN
 def part_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A panel with a bump; high enough for its markers to stay in view near by."""
     folder = tmp_path_factory.mktemp("part")
-    surface = meshes.grid(0.6, 0.5, 0.01, lambda x, y: meshes.bump(x, y, 0.03, 0.06))
-    trimesh.Trimesh(surface.vertices, surface.faces, process=False).export(folder / "panel.stl")
-    source = resolve_part(str(folder / "panel.stl"), "m", folder).source
+    source = write_small_part(folder, size_m=(0.6, 0.5)).source
     assert source is not None
     return source
 

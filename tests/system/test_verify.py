@@ -8,11 +8,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import trimesh
 import yaml
 
-import meshes
-from skinplan.part.resolve import resolve_part
+from nodes.small_part import write_small_part
 from system.graph_run import GraphRun
 
 pytestmark = pytest.mark.long
@@ -21,9 +19,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture(scope="module")
 def part_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("part")
-    surface = meshes.grid(0.6, 0.5, 0.01, lambda x, y: meshes.bump(x, y, 0.03, 0.06))
-    trimesh.Trimesh(surface.vertices, surface.faces, process=False).export(folder / "panel.stl")
-    source = resolve_part(str(folder / "panel.stl"), "m", folder).source
+    source = write_small_part(folder, size_m=(0.6, 0.5)).source
     assert source is not None
     return source
 

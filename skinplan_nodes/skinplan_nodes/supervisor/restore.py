@@ -16,7 +16,7 @@ from skinplan.transforms import Array
 from skinplan_nodes.supervisor.cell import Cell, Located
 from skinplan_nodes.supervisor.faults import Interruption
 from skinplan_nodes.supervisor.journal import Entry, JournalError, read_journal, read_stored
-from skinplan_nodes.supervisor.machine import State
+from skinplan_nodes.supervisor.machine import WORKING, State
 from skinplan_nodes.supervisor.place import Place
 from skinplan_nodes.supervisor.run_data import Localization, Round, RunData
 from skinplan_nodes.supervisor.run_folder import RunFolder
@@ -207,20 +207,7 @@ class _Reader:
 
 
 # In the other states a job stands still, or is nearly over: it goes on where it was before.
-_GOES_ON = frozenset(
-    {
-        State.STARTING,
-        State.DRIVING,
-        State.LOCALIZING,
-        State.PLANNING_PATH,
-        State.PLANNING_STATIONS,
-        State.PLANNING_TRAJECTORY,
-        State.MOVING,
-        State.SCANNING,
-        State.INSPECTING,
-        State.FINISHING,
-    }
-)
+_GOES_ON = frozenset(WORKING) - {State.RESTORING}
 
 
 def _require_hash(what: str, found: str, values: dict[str, Any]) -> None:
