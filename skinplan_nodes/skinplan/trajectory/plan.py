@@ -2,7 +2,7 @@
 
 import itertools
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -109,26 +109,47 @@ def plan_station_trajectory(
         path.positions[points], path.directions[points], path.targets[points], T_arm_base_workpiece
     )
     problem = _problem(world, views, settings, cell, start, tell, is_cancelled)
-    sight, T_map_arm = None, None
+    shop = None
     if T_arm_base_map is not None:
         T_map_arm = inverse(T_arm_base_map)
-        sight = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker)
+        shop = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker), T_map_arm
     states = find_states(
-        world, problem.dexterity, views, settings.tilt_max_rad, problem.home, sight, T_map_arm
+        world,
+        problem.dexterity,
+        views,
+        settings.tilt_max_rad,
+        problem.home,
+        *(shop or (None, None)),
     )
-    seen = np.unique(states.view)
-    if not len(seen):
+    if not len(states.view):
         raise NoTrajectoryError(
             f"station {station_id}: none of the {len(points)} points can be scanned; "
             f"the first one: {states.reasons.get(0, 'no point was asked for')}"
         )
     tell(0.2, "joint branches")
     graph = StationGraph(problem, states)
-    ends = world.arm.forward_scanner(np.stack([problem.start, problem.home]))[:, :3, 3]
+    task = _visit_task(path, points, graph, settings, T_arm_base_workpiece)
+    limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
+    made = _timed_way(task, order_of, limits, settings.timing, station_id, tell)
+    result = _result(made, points, states.reasons, settings, station_id)
+    tell(1.0, "done")
+    return result
+
+
+def _visit_task(
+    path: ScanPath,
+    points: NDArray[np.int64],
+    graph: StationGraph,
+    settings: ScanSettings,
+    T_arm_base_workpiece: Array,
+) -> VisitTask:
+    """What an order strategy has to order: the points that some joint position scans."""
+    problem = graph.problem
+    ends = problem.world.arm.forward_scanner(np.stack([problem.start, problem.home]))[:, :3, 3]
     begin, end = apply(inverse(T_arm_base_workpiece), ends)
-    task = VisitTask(
+    return VisitTask(
         path,
-        points[seen],
+        points[np.unique(graph.states.view)],
         settings.row_interval_m,
         begin,
         end,
@@ -137,9 +158,17 @@ def plan_station_trajectory(
         effort_s=settings.tour_effort_s,
         tcp_turn_s=settings.tcp_speed_m_s / _TCP_ACCELERATION,
     )
-    limits = Limits(problem.velocity, problem.acceleration, settings.tcp_speed_m_s)
-    made = _timed_way(task, order_of, limits, settings.timing, station_id, tell)
-    reasons = states.reasons | made.way.dropped
+
+
+def _result(
+    made: "_Made",
+    points: NDArray[np.int64],
+    unseen: Mapping[int, str],
+    settings: ScanSettings,
+    station_id: int,
+) -> StationTrajectory:
+    """Says what is driven, and why the other points are not."""
+    reasons = {**unseen, **made.way.dropped}
     skipped = tuple(SkippedPoint(int(points[v]), reasons[v]) for v in sorted(reasons))
     rated = settings.order_strategy, made.order.cost, made.order.bound
     result = StationTrajectory(station_id, tuple(made.segments), skipped, *rated)
@@ -148,7 +177,6 @@ def plan_station_trajectory(
         station_id, len(made.way.points), len(skipped), result.breaks, result.scan_s,
         result.transit_s,
     )  # fmt: skip
-    tell(1.0, "done")
     return result
 
 
