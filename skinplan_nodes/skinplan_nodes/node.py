@@ -28,6 +28,7 @@ _LEVELS = {
 AUTOSTART = Parameter(
     "autostart", True, "Configure and activate at the start, without a lifecycle manager."
 )
+_beating: set[Any] = set()
 
 
 class CellNodeMixin:
@@ -63,6 +64,7 @@ class CellNodeMixin:
         # and the executor needs no second thread for it, which costs much under many messages.
         self._no_more_beats = threading.Event()
         self._heart = threading.Thread(target=self._beat, name="heartbeat", daemon=True)
+        _beating.add(self)
         self._heart.start()
 
     def close(self) -> None:
@@ -97,9 +99,14 @@ class CellNodeMixin:
 
     def destroy_node(self: Any) -> None:
         """Ends the heartbeat with the node."""
+        self.end_heartbeat()
+        super().destroy_node()
+
+    def end_heartbeat(self: Any) -> None:
+        """Sends no more; to be called before the context is shut, under which nobody may send."""
         self._no_more_beats.set()
         self._heart.join(HEARTBEAT_PERIOD_S)
-        super().destroy_node()
+        _beating.discard(self)
 
     def _beat(self: Any) -> None:
         while self.context.ok():
@@ -128,6 +135,12 @@ class CellNodeMixin:
         array = DiagnosticArray(status=[status])
         array.header.stamp = self.get_clock().now().to_msg()
         self._diagnostics.publish(array)
+
+
+def end_heartbeats() -> None:
+    """Ends those of all nodes of this process, also of one whose constructor has failed."""
+    for node in list(_beating):
+        node.end_heartbeat()
 
 
 class CellNode(CellNodeMixin, Node):

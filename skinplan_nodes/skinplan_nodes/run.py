@@ -22,6 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from skinplan.errors import SkinplanError
+from skinplan_nodes.node import end_heartbeats
 
 _PR_SET_PDEATHSIG = 1
 # Callbacks that are still running get so long to end.
@@ -54,16 +55,22 @@ def run_node(kind: Callable[[], Any], arguments: Sequence[str] | None = None) ->
         node = kind()
     except (SkinplanError, ParameterException) as error:
         logging.getLogger(name).error("the node can't start: %s", error)
-        rclpy.try_shutdown()
+        _give_up()
         return 2
     except Exception:
         logging.getLogger(name).exception("the node can't start")
-        rclpy.try_shutdown()
+        _give_up()
         return 1
     _on_signals(node.asked_to_end)
     if early.is_set():
         node.asked_to_end.set()
     return _spin(node, node.asked_to_end)
+
+
+def _give_up() -> None:
+    """Ends what a constructor began before it failed: a thread that sends on would crash."""
+    end_heartbeats()
+    rclpy.try_shutdown()
 
 
 def die_with_parent() -> None:
@@ -102,6 +109,7 @@ def _end(node: Any, thread: threading.Thread) -> None:
     """Shut, join, destroy: the executor may still run callbacks after its own shutdown."""
     try:
         node.close()
+        end_heartbeats()
         rclpy.try_shutdown()
         thread.join(_JOIN_TIMEOUT_S)
         if not thread.is_alive():

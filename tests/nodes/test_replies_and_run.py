@@ -150,3 +150,29 @@ def test_a_missing_cell_file_ends_it_with_a_sentence() -> None:
     assert done.returncode == 2, done.stderr
     assert "no cell file" in done.stderr
     assert "Traceback" not in done.stderr
+
+
+FAILS_LATE = """
+import sys, threading
+from skinplan.errors import InputError
+from skinplan_nodes.node import CellNode
+from skinplan_nodes.run import run_node
+
+class FailsLate(CellNode):
+    NAME = "fails_late"
+
+    def __init__(self):
+        super().__init__()
+        raise InputError("nothing is accepted")
+
+code = run_node(FailsLate, [])
+print(code, [thread.name for thread in threading.enumerate() if thread.name == "heartbeat"])
+"""
+
+
+def test_a_node_that_can_not_start_sends_nothing_any_more() -> None:
+    done = subprocess.run(
+        [sys.executable, "-c", FAILS_LATE],
+        env=environment(), timeout=TIMEOUT_S, capture_output=True, text=True,
+    )  # fmt: skip
+    assert (done.returncode, done.stdout.split(maxsplit=1)) == (0, ["2", "[]\n"]), done.stderr
