@@ -1,5 +1,6 @@
 """A private ROS context with the nodes under test, a clock to turn, and bounded waits."""
 
+import gc
 import threading
 import time
 from collections.abc import Callable
@@ -104,6 +105,11 @@ class Bench:
         self._thread.join(TIMEOUT_S)
         for node in self._nodes:
             node.destroy_node()
+        self._executor.shutdown()
+        self._nodes.clear()
+        # Action servers hold on to their node, and it to them: until they are collected the next
+        # test sees them in the graph, takes them for its own, and gets no answer.
+        gc.collect()
 
     def _add(self, node: Node) -> None:
         self._nodes.append(node)

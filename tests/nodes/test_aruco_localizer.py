@@ -228,7 +228,9 @@ def test_the_end_of_the_node_stops_the_base_and_answers_with_an_error(
     drive(bench, work_place(part))
     handle = send(bench, LocalizePart.Goal(part=reference(part), may_move=True))
     result = handle.get_result_async()
-    bench.wait(lambda: odometry and abs(odometry[-1].twist.twist.linear.x) > 0.05, turning=True)
+    moving = lambda: odometry and abs(odometry[-1].twist.twist.linear.x) > 0.05  # noqa: E731
+    bench.wait(lambda: moving() or result.done(), turning=True)
+    assert not result.done(), result.result().result
     ending = threading.Thread(target=localizer.close)
     ending.start()
     answer = bench.result(result, turning=True)
