@@ -33,7 +33,9 @@ from skinplan_nodes.measure_client import MeasureClient
 from skinplan_nodes.truth import TruthLog
 
 _SUBMIT_S = 90.0
-_ANSWER_S = 10.0
+# An order or its answer may get lost while the nodes find each other: it is sent again, which is
+# the same job.
+_ANSWER_S, _AGAIN_S = 10.0, 2.0
 _ASK_PERIOD_S = 2.0
 _ABORT_S = 2.2
 _log = logging.getLogger(__name__)
@@ -108,9 +110,14 @@ class Measurement:
             if self._asked_to_end:
                 return self._why()
             return f"nobody serves jobs/submit after {_SUBMIT_S:g} s"
-        answer = self._node.submit.call_async(JobSubmit.Request(job=job_to_msg(self._job)))
-        if not self._spin_until(answer.done, _ANSWER_S):
-            return f"no answer of jobs/submit within {_ANSWER_S:g} s"
+        deadline = time.monotonic() + _ANSWER_S
+        while True:
+            answer = self._node.submit.call_async(JobSubmit.Request(job=job_to_msg(self._job)))
+            if self._spin_until(answer.done, _AGAIN_S):
+                break
+            self._node.submit.remove_pending_request(answer)
+            if self._asked_to_end or time.monotonic() > deadline:
+                return f"no answer of jobs/submit within {_ANSWER_S:g} s"
         self._node.absence.expect(time.monotonic())
         status = answer.result().status
         return "" if status.code == Status.OK else str(status.message)

@@ -68,6 +68,8 @@ class Arm:
         self.moved_s = 0.0
         self.stopped = ""
         self.never_ends = False
+        # So long it goes on along its way after it was told to stop [s].
+        self.brakes_s = 0.0
 
     def move(self, q: np.ndarray) -> None:
         if np.abs(q - self.q).max() > 1e-9:
@@ -84,7 +86,7 @@ class SupervisedCell(Node):
         super().__init__("supervised_cell", **kwargs)
         self.point_count, self.station_count = points, stations
         self.arm, self.base = Arm(), planar(0.0, 0.0, 0.0)
-        self.scanner_on = False
+        self.scanner_on, self.scanner_switched_s = False, 0.0
         self.base_answers = True
         self.seen: list[float] = []
         self.blind: set[int] = set()
@@ -146,10 +148,12 @@ class SupervisedCell(Node):
             handle.abort()
             return FollowJointTrajectory.Result(error_code=-4, error_string="not from here")
         self.arm.goals.append(ways)
-        begin = time.monotonic()
+        begin, asked_s = time.monotonic(), 0.0
         while not self.ended:
             spent = time.monotonic() - begin
-            if handle.is_cancel_requested:
+            if not handle.is_cancel_requested:
+                asked_s = spent
+            elif spent - asked_s >= self.arm.brakes_s:
                 handle.canceled()
                 return FollowJointTrajectory.Result(error_code=-5, error_string="cancelled")
             if self.arm.stopped:
@@ -272,6 +276,7 @@ class SupervisedCell(Node):
 
     def _on_scanner(self, request: Any, response: SetBool.Response) -> SetBool.Response:
         self.scanner_on, response.success = request.data, True
+        self.scanner_switched_s = time.monotonic()
         return response
 
     def _serve(self) -> None:

@@ -144,24 +144,38 @@ def test_an_undisturbed_job_passes_every_point_once(run: Callable[..., Run]) -> 
 def test_a_pause_holds_in_the_middle_of_a_segment_and_goes_on_there(
     run: Callable[..., Run],
 ) -> None:
-    job = run().supervise().submit()
+    job = run(points=10).supervise().submit()
     job.until_scanned(2)
     job.command(Ask.PAUSE)
     held = job.until(JobStatus.INTERRUPTED, "paused")
     assert held.status.code == Status.OK
-    assert 5 not in job.cell.seen, "the segment was not driven to its end"
+    assert 9 not in job.cell.seen, "the segment was not driven to its end"
     job.stands_still()
     goals = len(job.cell.arm.goals)
     job.command(Ask.RESUME)
     summary = job.ended()
     # What is left of the segment, from where the arm stood; nothing was planned anew.
-    np.testing.assert_allclose(job.cell.arm.goals[goals][-1][0], joints_of(5)[0] + 0.05, atol=1e-6)
+    end_rad = joints_of(9)[0] + 0.05
+    np.testing.assert_allclose(job.cell.arm.goals[goals][-1][0], end_rad, atol=1e-6)
     assert job.cell.calls.count("plan_trajectories") == 1
-    assert set(job.cell.seen) == set(range(6))
+    assert set(job.cell.seen) == set(range(10))
     (stood,) = summary["interruptions"]
     assert (stood["state"], stood["code"]) == ("scanning", 0)
     assert stood["resumed_after_s"] > 0.0
     assert "arm/stop" not in job.cell.calls, "cancelling was enough"
+
+
+def test_the_scanner_is_on_until_the_arm_stands(run: Callable[..., Run]) -> None:
+    job = run(points=16)
+    job.cell.arm.brakes_s = 0.4
+    job.supervise().submit()
+    job.until_scanned(2)
+    job.command(Ask.PAUSE)
+    job.until(JobStatus.INTERRUPTED, "paused")
+    assert not job.cell.scanner_on
+    assert job.cell.scanner_switched_s > job.cell.arm.moved_s
+    job.command(Ask.ABORT)
+    job.aborted()
 
 
 def test_a_protective_stop_waits_for_the_operator(run: Callable[..., Run]) -> None:

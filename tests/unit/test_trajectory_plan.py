@@ -297,6 +297,10 @@ def test_it_tells_how_far_it_is_and_stops_when_asked():
     assert [s for s, _ in told] == sorted(s for s, _ in told) and told[-1][0] == 1.0
     with pytest.raises(CancelledError):
         plan(is_cancelled=lambda: True)
+    told.clear()
+    with pytest.raises(CancelledError):
+        plan(progress=lambda share, text: told.append(text), is_cancelled=lambda: True)
+    assert told == ["inverse kinematics"], "the joint branches were not found to the end"
 
 
 def test_a_scanner_beside_the_tool_axis_is_driven_too():

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from skinplan.errors import CancelledError
 from skinplan.robot.collision import CollisionWorld
 from skinplan.robot.dexterity import Dexterity
 from skinplan.trajectory.durations import pair_changes, rest_to_rest
@@ -56,6 +57,15 @@ class Problem:
     seed: int
     progress: Callable[[float], None]
     is_cancelled: Callable[[], bool]
+
+    def require_wanted(self) -> None:
+        """Ends the planning when the caller asked to stop.
+
+        Raises:
+            CancelledError: He did.
+        """
+        if self.is_cancelled():
+            raise CancelledError("the search for a trajectory was cancelled")
 
 
 class StationGraph:

@@ -109,17 +109,19 @@ def plan_station_trajectory(
         path.positions[points], path.directions[points], path.targets[points], T_arm_base_workpiece
     )
     problem = _problem(world, views, settings, cell, start, tell, is_cancelled)
-    shop = None
+    sight, T_map_arm = None, None
     if T_arm_base_map is not None:
         T_map_arm = inverse(T_arm_base_map)
-        shop = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker), T_map_arm
+        sight = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker)
     states = find_states(
         world,
         problem.dexterity,
         views,
         settings.tilt_max_rad,
         problem.home,
-        *(shop or (None, None)),
+        sight,
+        T_map_arm,
+        problem.require_wanted,
     )
     if not len(states.view):
         raise NoTrajectoryError(
@@ -204,6 +206,7 @@ def _timed_way(
     assert graph is not None
     dropped: dict[int, str] = {}
     for repair in itertools.count():
+        graph.problem.require_wanted()
         order, way = _ordered_way(task, order_of, dropped)
         if not len(way.points):
             raise NoTrajectoryError(

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.errors import CancelledError
 from skinplan.trajectory.graph import HOME, START, Pair, StationGraph
 from skinplan.trajectory.ladder import BREAK, STRAIGHT, Ladder, Solution
 from skinplan.trajectory.transit import Transit
@@ -86,8 +85,7 @@ class Search:
         batches: dict[int, int] = {}
         solved: Solution | int = 0
         for number in range(_ROUNDS):
-            if self._graph.problem.is_cancelled():
-                raise CancelledError("the search for a trajectory was cancelled")
+            self._graph.problem.require_wanted()
             solved = ladder.solve()
             if isinstance(solved, int):
                 return solved
@@ -145,8 +143,7 @@ class Search:
         ]  # fmt: skip
         for number, layer in enumerate(new):
             graph.problem.progress(number / len(new))
-            if graph.problem.is_cancelled():
-                raise CancelledError("the search for a trajectory was cancelled")
+            graph.problem.require_wanted()
             if not graph.plan_break(pairs[layer]) and graph.close_vain_families(pairs[layer]):
                 return None
             a, b = layers[layer], layers[layer + 1]

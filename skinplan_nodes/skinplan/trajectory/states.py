@@ -6,6 +6,7 @@ collision and, where the tracker's place is known, seen by it. Roll is free wher
 turns about the view axis: that joint then rests at home. Otherwise a few rolls are states, too.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,6 +73,7 @@ def find_states(
     home: Array,
     sight: TrackerSight | None = None,
     T_map_arm: Array | None = None,
+    require_wanted: Callable[[], None] = lambda: None,
 ) -> States:
     """Finds the states of views.
 
@@ -83,20 +85,24 @@ def find_states(
         home: Home joint positions, shape (6,) [rad].
         sight: The tracker; None = it is not asked.
         T_map_arm: Arm base in the shop, shape (4, 4) [m]; needed with a tracker.
+        require_wanted: Called now and then; raises when nobody wants the states any more.
     """
     everyone = np.arange(len(views))
     parts, tilts = [reach(world, views, 0.0, home)], [0.0]
     for share, sides in _TILTS if tilt_max_rad > 0.0 else ():
+        require_wanted()
         leaned = views.tilted(everyone, share * tilt_max_rad, sides)
         parts.append(_renumbered(reach(world, leaned, 0.0, home), sides))
         tilts.append(share * tilt_max_rad)
     tilt = np.repeat(tilts, [len(part.view) for part in parts])
     view = np.concatenate([part.view for part in parts])
     poses = _joined(parts)
+    require_wanted()
     clear = dexterity.clear(poses.q)
     hidden = np.zeros(len(view), dtype=np.int64)
     if sight is not None and T_map_arm is not None and clear.any():
         hidden[clear] = _hidden(world, sight, T_map_arm, poses.q[clear])
+    require_wanted()
     reasons = dict(parts[0].reasons)
     for number in np.unique(view[~clear]):
         reasons[int(number)] = _SINGULAR

@@ -34,6 +34,7 @@ def tour_order(task: VisitTask) -> VisitOrder:
 
     Raises:
         InputError: The task comes without a graph.
+        CancelledError: The caller asked to stop.
     """
     if task.graph is None:
         raise InputError("order strategy 'tour' needs the states of the points; found none")
@@ -97,6 +98,7 @@ class _TourSearch:
         Where nothing leads through the order, any states, and infinity: another order may do.
         """
         graph = self._graph
+        graph.problem.require_wanted()
         layers = [graph.layer(view) for view in (START, *views.tolist(), HOME)]
         solved = Ladder(*graph.layer_costs(views.tolist())).solve()
         if not isinstance(solved, Solution):
@@ -116,6 +118,7 @@ class _TourSearch:
         here, spent = improved(np.arange(len(every)), cost, turns)
         best = here
         while spent < effort and len(nodes) > 7:
+            graph.problem.require_wanted()
             tried, more = improved(kicked(best.order, random), cost, turns)
             spent += more
             if tried.cost < best.cost - 1e-9:

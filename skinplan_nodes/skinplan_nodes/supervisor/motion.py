@@ -60,6 +60,22 @@ class Motion:
         except SkinplanError:
             return None
 
+    def base_since(self, stamp_s: float) -> Array | None:
+        """Returns the base's pose at a time or later, shape (4, 4) [m]; None = not known.
+
+        Odometry on its way tells of a time when the base was still elsewhere.
+
+        Args:
+            stamp_s: Time [s]; waited for as long as a device may be silent.
+        """
+        end = time.monotonic() + _SILENT_S
+        while time.monotonic() < end and self._odometry is not None:
+            header = deserialize_message(self._odometry, Odometry).header
+            if stamp_from_msg(header.stamp) >= stamp_s:
+                break
+            time.sleep(0.01)
+        return self.base()
+
     def moving(self, timeout_s: float) -> str:
         """Waits until arm and base stand still.
 

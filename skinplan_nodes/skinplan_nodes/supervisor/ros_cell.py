@@ -213,8 +213,8 @@ class RosCell:
                 result.status.message or "the localisation ended without a reason",
                 "aruco_localizer",
             )
-        self._T_odom_located = self._motion.base()
         found = part_pose_from_msg(result.part_pose)
+        self._T_odom_located = self._motion.base_since(found.stamp_s)
         T_map_workpiece = pose_stamped_from_msg(result.map_pose, "map", "pose of the part")
         return Located(
             found.T_arm_base_workpiece,
@@ -322,10 +322,11 @@ class RosCell:
             time.sleep(0.02)
 
     def halt(self, stop_devices: bool) -> None:
-        """Stops arm and base, switches the scanner off, and sees to it that nothing moves.
+        """Stops arm and base, sees to it that nothing moves, and switches the scanner off.
 
         Also goals that somebody else sent are cancelled: an approach of a localiser that is gone,
-        or what another supervisor process has left.
+        or what another supervisor process has left. The scanner is on until the arm stands: what it
+        passes while it brakes counts as scanned.
         """
         self._calls.cancel_all()
         answers = [
@@ -333,11 +334,17 @@ class RosCell:
             for client in self._actions.values()
             if client.server_is_ready()
         ]
-        if self._services[SetBool].service_is_ready():
-            answers.append(self._services[SetBool].call_async(SetBool.Request(data=False)))
         if stop_devices:
             self._devices.stop()
         _wait_shortly(answers)
+        try:
+            self._see_to_standing(stop_devices)
+        finally:
+            if self._services[SetBool].service_is_ready():
+                off = self._services[SetBool].call_async(SetBool.Request(data=False))
+                _wait_shortly([off])
+
+    def _see_to_standing(self, stop_devices: bool) -> None:
         moving = self._motion.moving(self._values.stop_timeout_s)
         if moving and not stop_devices:
             self._devices.stop()
