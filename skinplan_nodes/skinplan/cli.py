@@ -15,6 +15,8 @@ from skinplan.cell_run import CellRun, RunRequest
 from skinplan.commands.bag import bag_app
 from skinplan.commands.bag_export import export
 from skinplan.commands.calibrate import calibrate_camera
+from skinplan.commands.calibration import calibration_app
+from skinplan.commands.jobs import jobs_app
 from skinplan.commands.markers import markers
 from skinplan.commands.replay import replay
 from skinplan.contact.command import contact
@@ -48,6 +50,8 @@ app.command("calibrate")(calibrate_camera)
 parts_app = typer.Typer(invoke_without_command=True, help="List and export the sample parts.")
 app.add_typer(parts_app, name="parts")
 app.add_typer(bag_app, name="bag")
+app.add_typer(jobs_app, name="jobs")
+app.add_typer(calibration_app, name="calibration")
 bag_app.command("export")(export)
 
 PartArgument = Annotated[

@@ -27,8 +27,24 @@ class PartInvalidError(InputError):
     """A part file with an unknown key, a missing value or a value out of range."""
 
 
+class PartIdError(InputError):
+    """The part file is one of another part than the caller means."""
+
+
 class CellInvalidError(InputError):
     """A cell file with an unknown key, a missing value or a value out of range."""
+
+
+class CalibrationInvalidError(InputError):
+    """A file of calibration facts with an unknown key, or a value that can't be used."""
+
+
+class CalibrationMissingError(InputError):
+    """The cell is not calibrated, or its calibration is not the one that was noted."""
+
+
+class CalibrationDueError(InputError):
+    """A calibration of the cell is out of date."""
 
 
 class StrategyUnknownError(InputError):
@@ -98,6 +114,22 @@ class ImageInvalidError(InputError):
 
 class JobInvalidError(InputError):
     """A job with a field that can't be used."""
+
+
+class JobTextError(JobInvalidError):
+    """A text of a job that is too long or has control characters."""
+
+
+class JobOperatorError(InputError):
+    """The operator is not one of the configured ones."""
+
+
+class JobQueueFullError(InputError):
+    """No further job can wait."""
+
+
+class JobStoreError(SkinplanError):
+    """The job store can't be read or written now."""
 
 
 class JobUnknownError(InputError):

@@ -9,35 +9,36 @@ from pathlib import Path
 from typing import Any
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
-from rclpy.action import ActionServer, CancelResponse
-from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.clock import Clock, ClockType
-from skinplan_msgs.action import MeasurePart
-from skinplan_msgs.msg import Heartbeat, InspectionResult, JobStatus, Status
-from skinplan_msgs.srv import JobCommand, JobGet, JobList, JobSubmit
+from skinplan_msgs.msg import Heartbeat, JobStatus, Status
 
 from skinplan.errors import SkinplanError
-from skinplan.jobs.checks import new_job_id
 from skinplan.jobs.model import Job, JobRecord, JobState
-from skinplan.jobs.model import JobCommand as JobCommands
 from skinplan.jobs.store import JobStore
-from skinplan_nodes.conversions import job_from_msg, job_status_to_msg, job_to_msg
-from skinplan_nodes.goal_slot import GoalEnd, accept_goal, conclude
+from skinplan_nodes.conversions import job_status_to_msg
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, Parameter
 from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import LATCHED, STATE
-from skinplan_nodes.replies import ok, replies, status_of
+from skinplan_nodes.replies import RefusedError, status_of
 from skinplan_nodes.run import run_node
+from skinplan_nodes.supervisor.admission import Admission
 from skinplan_nodes.supervisor.control import JobControl, Request, StepError
-from skinplan_nodes.supervisor.desk import JobDesk
+from skinplan_nodes.supervisor.desk import DeskSettings, JobDesk
+from skinplan_nodes.supervisor.job_queue import JobQueue, Retention
+from skinplan_nodes.supervisor.job_services import JobServices, MeasureGoals
 from skinplan_nodes.supervisor.machine import Event, State
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.restore import journal_age_s
 from skinplan_nodes.supervisor.ros_cell import RosCell
 from skinplan_nodes.supervisor.run_folder import RunFolder
-from skinplan_nodes.supervisor.settings import RESUMING, work_settings
+from skinplan_nodes.supervisor.settings import (
+    JOBS,
+    RESUMING,
+    calibration_book,
+    work_settings,
+)
 from skinplan_nodes.supervisor.waiters import JobWaiters
 from skinplan_nodes.supervisor.watch import NodeWatch
 from skinplan_nodes.supervisor.worker import JobWorker
@@ -103,6 +104,7 @@ class CellSupervisor(CellNode):
             1.0,
             3600.0,
         ),
+        *JOBS,
         *RESUMING,
     )
 
@@ -115,28 +117,45 @@ class CellSupervisor(CellNode):
         self._announced: set[str] = set()
         self._resuming = ""
         self._clock_s = 0.0
+        self._told: JobRecord | None = None
         self._cell = RosCell(self, values, self._watch, self._on_fault)
-        self._worker = JobWorker(self._cell, config, runs_folder, _code_of, work_settings(values))
+        book = calibration_book(values)
+        self._worker = JobWorker(
+            self._cell, config, runs_folder, _code_of, work_settings(values), book.documents
+        )
+        self._admission = Admission(
+            book, values.operators, values.calibration_required, self._not_ready
+        )
         self._thread: threading.Thread | None = None
         self._waiters = JobWaiters(self)
         self._status = self.create_publisher(JobStatus, "job_status", LATCHED)
         self._store = JobStore(
             Path(values.jobs_file) if values.jobs_file else runs_folder / "jobs.sqlite"
         )
-        self._desk = JobDesk(
+        self._queue = JobQueue(
             self._store,
             self._start_job,
             self._on_change,
-            Status.JOB_ABORTED,
-            values.auto_start,
-            dead_node=self._watch.dead,
+            self._admission,
+            _code_of,
+            Retention(values.jobs_kept, values.days_kept),
+            self.now_s,
         )
+        self._desk = JobDesk(
+            self._store,
+            self._queue,
+            self._admission,
+            self._on_change,
+            DeskSettings(Status.JOB_ABORTED, values.auto_start, values.queue_max),
+            self._watch.dead,
+        )
+        self._queue.retain()
         self._serve()
         self._take_over(runs_folder)
 
     def close(self) -> None:
         """Ends the job on the cell: its devices stop, its folder says why."""
-        self._desk.abort_active(Status.JOB_ABORTED, "the supervisor was ended")
+        self._queue.abort_active(Status.JOB_ABORTED, "the supervisor was ended")
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT_S)
 
@@ -157,24 +176,16 @@ class CellSupervisor(CellNode):
                 f"job {left.job.job_id} was not finished by the supervisor before this one"
             )
             self._resuming = left.job.job_id
-            self._desk.take_over(left.job.job_id)
+            self._queue.take_over(left.job.job_id)
         self._resuming = ""
 
     def _is_fresh(self, folder: Path) -> bool:
         return journal_age_s(RunFolder(folder)) <= float(self.values.resume_age_max_s)
 
     def _serve(self) -> None:
-        self.create_service(JobSubmit, "jobs/submit", self._on_submit)
-        self.create_service(JobGet, "jobs/get", self._on_get)
-        self.create_service(JobList, "jobs/list", self._on_list)
-        self.create_service(JobCommand, "jobs/command", self._on_command)
-        self._server = ActionServer(
-            self,
-            MeasurePart,
-            "measure_part",
-            self._on_measure,
-            goal_callback=accept_goal,
-            cancel_callback=self._on_cancel,
+        self._job_services = JobServices(self, self._desk, self._store)
+        self._measure_goals = MeasureGoals(
+            self, self._desk, self._waiters, self._admission, lambda: self._cell.inspected
         )
         self.create_subscription(Heartbeat, "heartbeat", self._on_beat, STATE)
         self.create_subscription(DiagnosticArray, "diagnostics", self._on_diagnostics, STATE)
@@ -183,58 +194,6 @@ class CellSupervisor(CellNode):
             self._on_look,
             callback_group=MutuallyExclusiveCallbackGroup(),
             clock=Clock(clock_type=ClockType.STEADY_TIME),
-        )
-
-    @replies
-    def _on_submit(self, request: JobSubmit.Request, response: JobSubmit.Response) -> None:
-        record = self._desk.submit(_with_id(job_from_msg(request.job)))
-        response.job_id = record.job.job_id
-        response.job_status = job_status_to_msg(record)
-
-    @replies
-    def _on_get(self, request: JobGet.Request, response: JobGet.Response) -> None:
-        record = self._desk.get(request.job_id)
-        response.job = job_to_msg(record.job)
-        response.job_status = job_status_to_msg(record)
-
-    @replies
-    def _on_list(self, request: JobList.Request, response: JobList.Response) -> None:
-        response.jobs = [job_status_to_msg(record) for record in self._desk.list(request.limit)]
-
-    @replies
-    def _on_command(self, request: JobCommand.Request, response: JobCommand.Response) -> None:
-        record = self._desk.command(request.job_id, request.command, request.reason)
-        response.job_status = job_status_to_msg(record)
-
-    async def _on_measure(self, handle: ServerGoalHandle) -> MeasurePart.Result:
-        try:
-            record = self._desk.submit(_with_id(job_from_msg(handle.request.job)))
-        except SkinplanError as error:
-            handle.abort()
-            return MeasurePart.Result(status=status_of(error))
-        return self._measured(handle, await self._waiters.until_over(record, handle))
-
-    def _on_cancel(self, handle: ServerGoalHandle) -> CancelResponse:
-        job_id = self._waiters.job_of(handle)
-        if job_id is None:
-            return CancelResponse.REJECT
-        try:
-            self._desk.command(job_id, JobCommands.ABORT, "the goal was cancelled")
-        except SkinplanError as error:
-            self.get_logger().warning(str(error))
-            return CancelResponse.REJECT
-        return CancelResponse.ACCEPT
-
-    def _measured(self, handle: ServerGoalHandle, record: JobRecord) -> MeasurePart.Result:
-        ended = record.state is JobState.ENDED
-        conclude(handle, GoalEnd.REACHED if ended else GoalEnd.CANCELLED)
-        folder = Path(record.run_folder) if record.run_folder else None
-        summary = folder / "summary.json" if folder is not None else None
-        return MeasurePart.Result(
-            job_status=job_status_to_msg(record),
-            result=self._cell.inspected if ended else InspectionResult(),
-            summary_uri=str(summary) if summary is not None and summary.is_file() else "",
-            status=ok() if ended else Status(code=record.error_code, message=record.error),
         )
 
     def _start_job(self, record: JobRecord, control: JobControl) -> None:
@@ -249,16 +208,19 @@ class CellSupervisor(CellNode):
         def on_progress(
             state: State, progress: Progress, folder: str, why: StepError | None
         ) -> None:
-            self._desk.progress(job.job_id, state, progress, folder, why)
+            self._queue.progress(job.job_id, state, progress, folder, why)
 
         outcome = self._worker.work(job, control, on_progress, resume)
         folder = "" if outcome.folder is None else str(outcome.folder.path)
-        self._desk.finish(job.job_id, outcome.state, outcome.code, outcome.error, folder)
+        self._queue.finish(
+            job.job_id, outcome.state, outcome.code, outcome.error, folder, outcome.summary
+        )
 
     def _on_change(self, record: JobRecord) -> None:
         self._status.publish(job_status_to_msg(record))
         self._waiters.changed(record)
-        if record.error:
+        if record.error and record != self._told:
+            self._told = record
             self.get_logger().error(f"job {record.job.job_id}: {record.error}")
 
     def _on_beat(self, message: Heartbeat) -> None:
@@ -280,6 +242,14 @@ class CellSupervisor(CellNode):
                 self._announced.add(name)
                 self._lose(name, f"node {name} was lost", self._watch.last_beat_s(name))
         self._look_at_clock()
+        self._queue.tick()
+
+    def _not_ready(self) -> RefusedError | None:
+        """Returns why no job could begin now; a node that was not seen yet may still come."""
+        for error in self._cell.faults():
+            return RefusedError(Status.DEVICE_NOT_READY, str(error))
+        lost = self._watch.lost(time.monotonic())
+        return RefusedError(Status.DEVICE_NOT_READY, f"node {lost} is lost") if lost else None
 
     def _lose(self, name: str, text: str, since_s: float) -> None:
         """A node is gone, or has lost what it knew: the job stands still until it is back."""
@@ -287,7 +257,7 @@ class CellSupervisor(CellNode):
             return
         self.get_logger().error(text)
         if name != _RECORDER or self.values.without_recorder != "go_on":
-            self._desk.ask(Request(Event.NODE_LOST, Status.NODE_LOST, text, name, since_s))
+            self._queue.ask(Request(Event.NODE_LOST, Status.NODE_LOST, text, name, since_s))
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
@@ -300,21 +270,17 @@ class CellSupervisor(CellNode):
         if error and not before:
             self.get_logger().error(f"{_RECORDER}: {error}")
             if self.values.without_recorder != "go_on":
-                self._desk.ask(Request(Event.FAULT, Status.DISK_FULL, error, _RECORDER))
+                self._queue.ask(Request(Event.FAULT, Status.DISK_FULL, error, _RECORDER))
 
     def _look_at_clock(self) -> None:
         before_s, self._clock_s = self._clock_s, self.now_s()
         if before_s - self._clock_s > _CLOCK_BACK_S:
             text = f"the clock went back by {before_s - self._clock_s:.1f} s"
-            self._desk.ask(Request(Event.FAULT, Status.CLOCK_JUMPED, text, "clock"))
+            self._queue.ask(Request(Event.FAULT, Status.CLOCK_JUMPED, text, "clock"))
 
     def _on_fault(self, request: Request) -> None:
         self.get_logger().error(request.message)
-        self._desk.ask(request)
-
-
-def _with_id(job: Job) -> Job:
-    return job if job.job_id else replace(job, job_id=new_job_id())
+        self._queue.ask(request)
 
 
 def _code_of(error: SkinplanError) -> int:

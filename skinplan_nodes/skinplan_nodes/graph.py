@@ -146,6 +146,11 @@ def _image_rate_hz(settings: GraphSettings) -> float:
     return float(min(1.0, max(0.1, IMAGE_RATE_HZ / settings.time_factor)))
 
 
+def _calibration(settings: GraphSettings) -> dict[str, ParameterValue]:
+    """The mock cell is as its files say: nobody has to calibrate it."""
+    return {"calibration_required": False} if settings.simulated else {}
+
+
 def _supervisor(
     settings: GraphSettings, others: list[NodeSpec], cell: Mapping[str, ParameterValue]
 ) -> NodeSpec:
@@ -156,6 +161,7 @@ def _supervisor(
             "runs_folder": str(settings.runs_folder),
             "jobs_file": settings.jobs_file,
             "report": settings.report,
+            **_calibration(settings),
             "required_nodes": [node.name for node in others if node.required],
         },
     )

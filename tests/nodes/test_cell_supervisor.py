@@ -32,7 +32,7 @@ class Desk:
     def __init__(self, bench: Bench, folder: Path, part_uri: str, **parameters: Any) -> None:
         self.bench, self.folder, self.part_uri = bench, folder, part_uri
         self.states = bench.collect_before(JobStatus, "job_status", LATCHED)
-        values = {"required_nodes": ["nobody"], **parameters}
+        values = {"required_nodes": ["nobody"], "calibration_required": False, **parameters}
         bench.start(CellSupervisor, simulated=False, runs_folder=str(folder), **values)
 
     def call(self, kind: Any, name: str, **fields: Any) -> Any:
@@ -41,7 +41,8 @@ class Desk:
         return self.bench.result(client.call_async(kind.Request(**fields)))
 
     def submit(self, job_id: str = "j1", **fields: Any) -> Any:
-        part = PartReference(uri=fields.pop("uri", self.part_uri))
+        digest = fields.pop("sha256", "")
+        part = PartReference(uri=fields.pop("uri", self.part_uri), mesh_sha256=digest)
         return self.call(JobSubmit, "submit", job=Job(job_id=job_id, part=part, **fields))
 
     def command(self, job_id: str, command: int) -> Any:
@@ -121,12 +122,12 @@ def test_missing_node_ends_the_job_with_its_name(desk: Callable[..., Desk]) -> N
     assert summary["error"]["node"] == "nobody"
 
 
-def test_missing_part_file_ends_the_job_with_its_name(desk: Callable[..., Desk]) -> None:
+def test_missing_part_file_is_refused(desk: Callable[..., Desk]) -> None:
     cell = desk()
-    cell.submit(uri="/nowhere/part.yaml")
-    last = cell.until(JobStatus.ABORTED)
-    assert last.status.code == Status.PART_NOT_FOUND
-    assert "/nowhere/part.yaml" in last.status.message
+    status = cell.submit(uri="/nowhere/part.yaml").status
+    assert status.code == Status.PART_NOT_FOUND
+    assert "/nowhere/part.yaml" in status.message
+    assert cell.call(JobGet, "get", job_id="j1").status.code == Status.JOB_UNKNOWN
 
 
 def test_silent_node_ends_the_job_with_its_name(desk: Callable[..., Desk], bench: Bench) -> None:

@@ -26,6 +26,7 @@ from skinplan_nodes.qos import LATCHED, STATE
 Ask = JobCommand.Request
 QUICK: dict[str, Any] = {
     "report": False,
+    "calibration_required": False,
     "certify_motion": False,
     "stop_timeout_s": 1.0,
     "start_timeout_s": 10.0,

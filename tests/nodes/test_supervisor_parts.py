@@ -5,12 +5,15 @@ import os
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from skinplan.errors import JobInvalidError
+from skinplan.jobs.model import Job, JobRecord, JobState
+from skinplan.robot.cell import CellConfig
 from skinplan.stations.model import SkippedPoint, Station, StationPlan
 from skinplan.trajectory.model import SCAN, TRANSIT, Segment, StationTrajectory
 from skinplan_nodes.supervisor.control import (
@@ -23,7 +26,10 @@ from skinplan_nodes.supervisor.machine import Event
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.run_data import Round
 from skinplan_nodes.supervisor.run_folder import RunFolder
+from skinplan_nodes.supervisor.time_left import TimeLeft
 from skinplan_nodes.supervisor.watch import NodeWatch, process_runs
+
+CELL = CellConfig()
 
 
 def test_watch_misses_what_it_never_saw() -> None:
@@ -131,15 +137,44 @@ def test_a_state_that_lasts_too_long_breaks_in() -> None:
     assert control.take() is late
 
 
-def test_progress_never_falls_and_time_left_shrinks() -> None:
+def _two_stations() -> StationPlan:
     stations = tuple(Station(i, np.eye(4), np.arange(10)) for i in range(2))
-    plan = StationPlan("rectangles", stations, 2, 0, False, 1.0, ())
-    progress = Progress().at_state("planning", 0).reached(0.1).planned(plan, settle_s=5.0)
+    return StationPlan("rectangles", stations, 2, 0, False, 1.0, ())
+
+
+def test_progress_never_falls_and_time_left_shrinks() -> None:
+    progress = Progress().at_state("planning", 0).reached(0.1).planned(_two_stations(), CELL)
     first = progress.at_state("driving", 1).reached(0.05)
     assert first.share == 0.1
     assert first.title == "driving at station 1 of 2"
     second = first.at_state("driving", 2)
     assert 0.0 < second.time_left_s < first.time_left_s
+
+
+def test_what_a_station_took_corrects_what_is_left_and_a_pause_does_not() -> None:
+    progress = Progress().planned(_two_stations(), CELL).at_state("driving", 1, 100.0)
+    expected_s = progress.later_s[0]
+    paused = progress.at_state("paused", 1, 110.0)
+    again = paused.at_state("scanning", 1, 500.0)
+    assert again.spent_s == 10.0, "the pause is no work"
+    last = again.at_state("driving", 2, 500.0 + 2.0 * expected_s - 10.0)
+    assert last.correction == pytest.approx(2.0)
+    assert last.time_left_s == pytest.approx(2.0 * progress.later_s[1])
+
+
+def test_time_left_passes_with_the_cell_s_clock() -> None:
+    left = TimeLeft()
+    record = JobRecord(Job("a", "/p"), JobState.RUNNING, time_left_s=60.0)
+    left.begin(record, 1000.0)
+    for second in range(5):
+        left.look(1000.0 + 4.0 * second, 50.0 + second)
+    assert left.rate() == pytest.approx(4.0)
+    now = left.now(record, 1020.0, 2_000.0)
+    assert now.time_left_s == 40.0
+    assert now.expected_end_ns == 2_010 * 10**9, "40 s at four times wall time"
+    assert left.now(record, 2000.0, 2_000.0).time_left_s == 0.0
+    held = replace(record, state=JobState.INTERRUPTED)
+    assert left.now(held, 1020.0, 2_000.0) is held, "nobody knows when it goes on"
 
 
 def _segment(kind: int, points: list[int]) -> Segment:

@@ -1,5 +1,6 @@
 """Job store: idempotent, consistent, safe against being killed."""
 
+import json
 import math
 import os
 import random
@@ -8,6 +9,7 @@ import sqlite3
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,9 +21,12 @@ from skinplan.errors import (
     JobCommandError,
     JobConflictError,
     JobInvalidError,
+    JobQueueFullError,
+    JobStoreError,
+    JobTextError,
     JobUnknownError,
 )
-from skinplan.jobs.checks import check_job, new_job_id
+from skinplan.jobs.checks import check_command, check_job, new_job_id
 from skinplan.jobs.model import Job, JobCommand, JobRecord, JobState
 from skinplan.jobs.rows import content_of
 from skinplan.jobs.states import COMMANDS, TRANSITIONS, apply_command, check_transition
@@ -91,6 +96,126 @@ def test_priority_then_first_come(store: JobStore) -> None:
         store.update(replace(record, state=JobState.ENDED))
         order.append(record.job.job_id)
     assert order == ["b", "c", "a", "d"]
+
+
+def test_of_the_same_priority_the_earliest_start_comes_first(tmp_path: Path) -> None:
+    store = JobStore(tmp_path / "jobs.db", clock=lambda: 1_000)
+    for name, priority, earliest in (
+        ("late", 0, 900), ("early", 0, 500), ("first", 0, 0), ("urgent", 5, 950), ("then", 9, 2_000)
+    ):  # fmt: skip
+        store.submit(replace(JOB, job_id=name, priority=priority, earliest_start_ns=earliest))
+    order = []
+    for now_ns in (*[1_000] * 4, 1_999, 2_000):
+        record = store.next_to_run(now_ns)
+        order.append(None if record is None else record.job.job_id)
+        if record is not None:
+            running = store.update(replace(record, state=JobState.RUNNING))
+            store.update(replace(running, state=JobState.ENDED))
+    assert order == ["urgent", "first", "early", "late", None, "then"]
+    store.close()
+
+
+def test_no_more_jobs_wait_than_may(store: JobStore) -> None:
+    for name in ("a", "b"):
+        store.submit(replace(JOB, job_id=name), queue_max=2)
+    with pytest.raises(JobQueueFullError, match="2 jobs wait"):
+        store.submit(replace(JOB, job_id="c"), queue_max=2)
+    assert store.submit(replace(JOB, job_id="b"), queue_max=2).job.job_id == "b", "it waits already"
+    store.update(replace(store.get("a"), state=JobState.RUNNING))
+    store.submit(replace(JOB, job_id="c"), queue_max=2)
+
+
+def finish(store: JobStore, job_id: str, result: dict | None = None) -> None:
+    store.submit(replace(JOB, job_id=job_id))
+    record = store.update(replace(store.get(job_id), state=JobState.RUNNING))
+    store.finish(replace(record, state=JobState.ENDED), result)
+
+
+def test_the_result_stays_with_the_job(store: JobStore) -> None:
+    finish(store, "a", {"measured": {"area_ratio": 0.5, "worst": float("nan")}})
+    finish(store, "b")
+    assert json.loads(store.result("a")) == {"measured": {"area_ratio": 0.5, "worst": None}}
+    assert store.result("b") == ""
+    with pytest.raises(JobUnknownError):
+        store.result("c")
+
+
+def test_what_was_cleared_is_listed_no_more_but_kept(store: JobStore) -> None:
+    finish(store, "a", {"n": 1})
+    store.submit(replace(JOB, job_id="b"))
+    with pytest.raises(JobConflictError, match="AllowedToStart"):
+        store.clear("b")
+    assert store.clear("a", "fetched by Anna").cleared
+    assert store.clear("a").cleared, "a second time changes nothing"
+    assert [r.job.job_id for r in store.list(include_cleared=False)] == ["b"]
+    assert [r.job.job_id for r in store.list()] == ["b", "a"]
+    assert [e.reason for e in store.history("a")][-1] == "fetched by Anna"
+    assert store.submit(replace(JOB, job_id="a")).cleared, "still the same job"
+    with pytest.raises(JobConflictError):
+        store.submit(replace(JOB, job_id="a", serial_number="other"))
+
+
+def test_jobs_come_in_pages_and_by_state(store: JobStore) -> None:
+    for number in range(5):
+        finish(store, f"e{number}")
+        store.submit(replace(JOB, job_id=f"w{number}"))
+        store.update(replace(store.get(f"w{number}"), state=JobState.NOT_ALLOWED_TO_START))
+    first = store.list(3, states=(JobState.ENDED,))
+    assert [r.job.job_id for r in first] == ["e4", "e3", "e2"]
+    rest = store.list(3, before="e2", states=(JobState.ENDED, 99, 255))
+    assert [r.job.job_id for r in rest] == ["e1", "e0"]
+    with pytest.raises(JobUnknownError):
+        store.list(before="nobody")
+
+
+def test_old_jobs_and_the_oldest_of_too_many_are_forgotten(tmp_path: Path) -> None:
+    times = iter(range(1000, 10_000))
+    store = JobStore(tmp_path / "jobs.db", clock=lambda: next(times))
+    for number in range(6):
+        finish(store, f"e{number}", {"n": number})
+    store.submit(replace(JOB, job_id="waits"))
+    old_ns = store.get("e1").changed_ns + 1
+    assert store.retain(oldest_ns=old_ns) == 2
+    assert [r.job.job_id for r in store.list()] == ["waits", "e5", "e4", "e3", "e2"]
+    store.clear("e4")
+    assert store.retain(most=2) == 2, "the acknowledged one first, then the oldest"
+    assert [r.job.job_id for r in store.list()] == ["waits", "e5", "e3"]
+    with sqlite3.connect(store.path) as database:
+        left = database.execute("SELECT job_id FROM results ORDER BY job_id").fetchall()
+        entries = database.execute("SELECT DISTINCT job_id FROM history").fetchall()
+    database.close()
+    assert left == [("e3",), ("e5",)] and len(entries) == 3, "with results and histories"
+    assert store.retain(most=2) == 0
+    store.close()
+
+
+def test_a_copy_leaves_the_file_alone_and_sees_one_moment(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.db"
+    with JobStoreOfVersion1(path) as database:
+        database.execute("INSERT INTO jobs VALUES (1, ?, ?, 0, 2, 'scanning', 1, 2, 0.5, NULL, "
+                         "'/runs/job-1', 1, '', 7)", ("job-1", content_of(JOB)))  # fmt: skip
+    before = path.read_bytes()
+    copy = JobStore(path, copy=True)
+    assert copy.get("job-1").station_count == 2 and copy.history("job-1") == ()
+    copy.close()
+    assert path.read_bytes() == before
+    with pytest.raises(InputError, match="no such file"):
+        JobStore(tmp_path / "other.db", copy=True)
+    assert not (tmp_path / "other.db").exists()
+
+
+def test_a_store_that_can_t_be_written_is_named_and_nothing_is_half_done(store: JobStore) -> None:
+    store.submit(JOB)
+    other = sqlite3.connect(store.path, isolation_level=None)
+    other.execute("PRAGMA journal_mode = WAL")
+    other.execute("CREATE TRIGGER full BEFORE INSERT ON history BEGIN "
+                  "SELECT RAISE(ABORT, 'the disk is full'); END")  # fmt: skip
+    with pytest.raises(JobStoreError, match="disk is full"):
+        store.update(replace(store.get("job-1"), state=JobState.RUNNING))
+    assert store.get("job-1").state is JobState.ALLOWED_TO_START
+    other.execute("DROP TRIGGER full")
+    other.close()
+    store.update(replace(store.get("job-1"), state=JobState.RUNNING))
 
 
 def test_history_has_states_sub_states_and_stations_but_not_progress(tmp_path: Path) -> None:
@@ -167,6 +292,29 @@ def test_a_store_of_the_first_version_is_brought_up_to_date(tmp_path: Path) -> N
     store.close()
 
 
+def test_a_store_of_the_second_version_is_brought_up_to_date(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.db"
+    old = json.loads(content_of(JOB))
+    for key in ("part_id", "recipe_version", "earliest_start_ns", "accept_due_calibration"):
+        del old[key]
+    with JobStoreOfVersion1(path) as database:
+        database.execute("ALTER TABLE jobs ADD COLUMN rescan INTEGER NOT NULL DEFAULT 0")
+        database.execute("PRAGMA user_version = 2")
+        text = json.dumps(old, sort_keys=True)
+        database.execute("INSERT INTO jobs VALUES (1, 'job-1', ?, 0, 4, '', 1, 2, 1.0, NULL, "
+                         "'/runs/job-1', 1, '', 7, 1)", (text,))  # fmt: skip
+        database.execute("INSERT INTO history VALUES (1, 'job-1', 7, 4, '', 1, 'done')")
+    store = JobStore(path)
+    found = store.get("job-1")
+    assert (found.rescan, found.step, found.cleared, found.job.part_id) == (1, 0, False, "")
+    assert store.submit(JOB).state is JobState.ENDED, (
+        "the same content, although it has more fields"
+    )
+    assert [entry.reason for entry in store.history("job-1")] == ["done"]
+    assert store.clear("job-1").cleared and store.result("job-1") == ""
+    store.close()
+
+
 class JobStoreOfVersion1:
     """The tables as they were, written out."""
 
@@ -215,29 +363,94 @@ def test_threads_submit_the_same_job_once(store: JobStore) -> None:
     assert len(store.list(limit=3)) == 3
 
 
-def test_a_killed_process_leaves_a_consistent_store(tmp_path: Path) -> None:
-    script = f"""
+WRITER = """
+import sys
 from dataclasses import replace
 from skinplan.jobs.model import Job, JobState
 from skinplan.jobs.store import JobStore
-store = JobStore({str(tmp_path / "jobs.db")!r})
-for i in range(100000):
-    record = store.submit(Job(f"job-{{i}}", "/p.yaml"))
-    record = store.update(replace(record, state=JobState.RUNNING))
-    record = store.update(replace(record, state=JobState.ENDED))
-    if i == 5:
+store, first = JobStore(sys.argv[1]), int(sys.argv[2])
+for i in range(first, first + 100000):
+    record = store.submit(Job(f"job-{i}", "/p.yaml", attributes=(("n", str(i)),)))
+    record = store.update(replace(record, state=JobState.RUNNING, sub_state="driving"))
+    record = store.update(replace(record, sub_state="scanning", station=1, progress=0.5))
+    record = store.finish(
+        replace(record, state=JobState.ENDED, sub_state="", progress=1.0), {"number": i}
+    )
+    if i % 3 == 0:
+        store.clear(record.job.job_id)
+    if i == first + 2:
         print("go", flush=True)
 """
-    process = subprocess.Popen([sys.executable, "-c", script], stdout=subprocess.PIPE, text=True)
+
+
+def kill_a_writer(path: Path, first: int, after_s: float) -> None:
+    """Ends a process that writes into a store, after it has begun to."""
+    command = [sys.executable, "-c", WRITER, str(path), str(first)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
     assert process.stdout is not None and process.stdout.readline() == "go\n"
+    time.sleep(after_s)
     os.kill(process.pid, signal.SIGKILL)
     process.wait(10)
-    store = JobStore(tmp_path / "jobs.db")
-    records = store.list()
-    assert len(records) >= 6
-    for record in records:
-        assert store.history(record.job.job_id)[-1].state == record.state
-    assert all(r.state == JobState.ENDED for r in records[1:])
+
+
+def check_whole(path: Path) -> None:
+    """Every job is in the state of its last change, with every change and its result."""
+    with sqlite3.connect(path) as database:
+        assert database.execute("PRAGMA integrity_check").fetchone() == ("ok",)
+    database.close()
+    store = JobStore(path)
+    places = [
+        (JobState.ALLOWED_TO_START, ""),
+        (JobState.RUNNING, "driving"),
+        (JobState.RUNNING, "scanning"),
+        (JobState.ENDED, ""),
+    ]
+    for record in store.list():
+        job_id = record.job.job_id
+        history = store.history(job_id)
+        walked = [(entry.state, entry.sub_state) for entry in history][: len(places)]
+        assert walked == places[: len(walked)], job_id
+        assert history[-1].state == record.state
+        assert len(history) == len(walked) + (1 if record.cleared else 0)
+        result = store.result(job_id)
+        assert (result != "") == (record.state is JobState.ENDED), job_id
+        assert result in ("", f'{{"number": {dict(record.job.attributes)["n"]}}}')
+    store.close()
+
+
+@pytest.mark.parametrize("rounds", [3, pytest.param(60, marks=pytest.mark.long)])
+def test_killed_processes_leave_a_consistent_store(tmp_path: Path, rounds: int) -> None:
+    path, rng = tmp_path / "jobs.db", random.Random(rounds)
+    for number in range(rounds):
+        kill_a_writer(path, number * 1_000_000, rng.uniform(0.0, 0.05))
+        check_whole(path)
+    store = JobStore(path)
+    assert len(store.list()) >= 3 * rounds
+    unfinished = store.list(states=(JobState.ALLOWED_TO_START, JobState.RUNNING))
+    assert len(unfinished) <= rounds, "one at most of each process"
+    store.close()
+
+
+def test_a_migration_that_is_killed_begins_anew(tmp_path: Path) -> None:
+    path = tmp_path / "jobs.db"
+    with JobStoreOfVersion1(path) as database:
+        for i in range(50):
+            row = (i + 1, f"j{i}", content_of(replace(JOB, job_id=f"j{i}")))
+            database.execute("INSERT INTO jobs VALUES (?, ?, ?, 0, 0, '', 0, 0, 0.0, NULL, '', 1, "
+                             "'', 7)", row)  # fmt: skip
+    script = f"from skinplan.jobs.store import JobStore; JobStore({str(path)!r})"
+    for delay_s in (0.12, 0.16, 0.2, 0.24):
+        process = subprocess.Popen([sys.executable, "-c", script])
+        time.sleep(delay_s)
+        process.kill()
+        process.wait(10)
+        with sqlite3.connect(path) as database:
+            version = database.execute("PRAGMA user_version").fetchone()[0]
+            columns = [row[1] for row in database.execute("PRAGMA table_info(jobs)")]
+        database.close()
+        assert (version == 1) == ("rescan" not in columns) == ("cleared" not in columns)
+    store = JobStore(path)
+    assert len(store.list()) == 50 and not store.get("j7").cleared
     store.close()
 
 
@@ -274,6 +487,11 @@ def test_files_that_are_no_store_are_named(tmp_path: Path) -> None:
         ("operator_name", "a\nb"),
         ("priority", 1001),
         ("priority", -1001),
+        ("earliest_start_ns", -1),
+        ("earliest_start_ns", 2**31 * 1_000_000_000),
+        ("part_id", "x" * 129),
+        ("recipe_version", "1\r2"),
+        ("serial_number", "SN\u202e7"),
         ("attributes", (("", "x"),)),
         ("attributes", (("a", "1"), ("a", "2"))),
         ("attributes", (("a", "x" * 1025),)),
@@ -281,9 +499,21 @@ def test_files_that_are_no_store_are_named(tmp_path: Path) -> None:
     ],
 )
 def test_fields_out_of_range_are_named(store: JobStore, field: str, value: object) -> None:
-    with pytest.raises(JobInvalidError, match=field.rstrip("s").split("_sha")[0]):
+    with pytest.raises(
+        JobInvalidError, match=field.rstrip("s").split("_sha")[0].removesuffix("_n")
+    ):
         store.submit(replace(JOB, **{field: value}))
     assert store.list() == ()
+
+
+def test_texts_have_an_error_of_their_own() -> None:
+    for change in ({"order_id": "x" * 129}, {"attributes": (("k", "a\x07"),)}):
+        with pytest.raises(JobTextError):
+            check_job(replace(JOB, **change))
+    check_command("Anna", "x" * 256)
+    for operator, reason in (("Anna", "x" * 257), ("Anna", "a\nb"), ("A\x1b[2J", "")):
+        with pytest.raises(JobTextError):
+            check_command(operator, reason)
 
 
 def test_legal_extremes_pass() -> None:

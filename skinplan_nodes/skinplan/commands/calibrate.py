@@ -4,6 +4,7 @@ import importlib.util
 import json
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -12,9 +13,12 @@ import typer
 import yaml
 
 from skinplan import console
+from skinplan.commands.calibration import default_due
 from skinplan.errors import InputError, PartInvalidError, SkinplanError
+from skinplan.json_file import write_json
 from skinplan.localization.hand_eye import HandEye, PosePair, calibrate
 from skinplan.part.fields import Fields, pose_fields
+from skinplan.robot.calibration import calibration_path, note_calibration
 from skinplan.robot.cell import CellConfig, load_cell
 from skinplan.transforms import inverse
 
@@ -36,6 +40,14 @@ def calibrate_camera(
     out: Annotated[
         Path | None, typer.Option(help="YAML file for the lines of the cell file.")
     ] = None,
+    valid_days: Annotated[
+        int | None,
+        typer.Option(
+            min=1,
+            max=3650,
+            help="Note the calibration beside the cell file, to be valid for so long.",
+        ),
+    ] = None,
     as_json: Annotated[
         bool, typer.Option("--json", help="Print one JSON document on stdout.")
     ] = False,
@@ -43,6 +55,8 @@ def calibrate_camera(
     """Calibrate the camera against the arm (T_b_c) from pairs of flange and marker poses."""
     with console.command(as_json):
         config = load_cell(cell)
+        if valid_days is not None and cell is None:
+            raise InputError("--valid-days was given without a cell file; --cell is accepted")
         pairs = read_pairs(recording, marker, cell)
         found = calibrate(pairs)
         lines = cell_lines(found, config)
@@ -60,6 +74,20 @@ def calibrate_camera(
                 f"{1e3 * found.held_out_m:.2f} mm and {np.degrees(found.held_out_rad):.2f} deg; "
                 f"stand still at every pose, turn the flange more, show the marker larger"
             )
+        if valid_days is not None and cell is not None:
+            _note(cell, found, document, valid_days)
+
+
+def _note(cell: Path, found: HandEye, document: dict[str, Any], days: int) -> None:
+    """Keeps the result beside the cell file, and notes it as the cell's calibration."""
+    facts = calibration_path(cell)
+    assert facts is not None
+    made = datetime.now(UTC)
+    result = cell.parent / f"hand_eye-{made.strftime('%Y%m%d-%H%M%S')}.json"
+    write_json(result, document)
+    due = default_due(made, days)
+    note_calibration(facts, "hand_eye", result, made, due, found.held_out_m, "m")
+    typer.echo(f"noted in {facts}: hand_eye until {due}", err=True)
 
 
 def read_pairs(recording: Path, marker: int, cell: Path | None) -> list[PosePair]:

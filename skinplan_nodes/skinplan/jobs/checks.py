@@ -9,17 +9,21 @@ import time
 from pathlib import PurePosixPath
 from urllib.parse import urlsplit
 
-from skinplan.errors import JobInvalidError
+from skinplan.errors import JobInvalidError, JobTextError
 from skinplan.jobs.model import Job
 
 ID_PATTERN = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 _HASH_PATTERN = re.compile(r"[0-9a-f]{64}")
-_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\ud800-\udfff]")
+# Control characters, line ends, those that turn the direction of writing, halves of characters.
+_CONTROL = re.compile(r"[\x00-\x1f\x7f-\x9f\u2028\u2029\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
 LONGEST_NAME = 128
 LONGEST_URI = 1024
 LONGEST_VALUE = 1024
 MOST_ATTRIBUTES = 64
 PRIORITY_RANGE = (-1000, 1000)
+LONGEST_REASON = 256
+# ISO 8601 and ROS have no room for more [ns since the epoch].
+_LATEST_NS = (2**31 - 1) * 1_000_000_000
 
 
 def new_job_id(now_s: float | None = None) -> str:
@@ -36,13 +40,14 @@ def check_job(job: Job) -> Job:
     """Returns the job, or says what can't be accepted about it.
 
     Raises:
-        JobInvalidError: A field is missing, too long, out of range or has control characters.
+        JobTextError: A text is too long or has control characters.
+        JobInvalidError: A field is missing or out of range.
     """
     if not ID_PATTERN.fullmatch(job.job_id) or job.job_id.strip(".") == "":
         raise JobInvalidError(
             f"job_id: 1 to 64 of [A-Za-z0-9_.-] are accepted, found {_shown(job.job_id)}"
         )
-    for name in ("order_id", "serial_number", "operator_name"):
+    for name in ("order_id", "serial_number", "operator_name", "part_id", "recipe_version"):
         _check_text(name, getattr(job, name), LONGEST_NAME)
     _check_uri(job.part_uri)
     if job.mesh_sha256 and not _HASH_PATTERN.fullmatch(job.mesh_sha256):
@@ -53,8 +58,23 @@ def check_job(job: Job) -> Job:
     low, high = PRIORITY_RANGE
     if not low <= job.priority <= high:
         raise JobInvalidError(f"priority: {low} to {high} is accepted, found {job.priority}")
+    if not 0 <= job.earliest_start_ns <= _LATEST_NS:
+        raise JobInvalidError(
+            f"earliest_start: 0 to {_LATEST_NS // 1_000_000_000} s since 1970 is accepted, found "
+            f"{job.earliest_start_ns / 1e9:.0f} s"
+        )
     _check_attributes(job.attributes)
     return job
+
+
+def check_command(operator_name: str, reason: str) -> None:
+    """Lets texts of a command through that can be kept and shown.
+
+    Raises:
+        JobTextError: One is too long or has control characters.
+    """
+    _check_text("operator_name", operator_name, LONGEST_NAME)
+    _check_text("reason", reason, LONGEST_REASON)
 
 
 def _check_uri(uri: str) -> None:
@@ -84,9 +104,9 @@ def _check_attributes(attributes: tuple[tuple[str, str], ...]) -> None:
 
 def _check_text(name: str, text: str, longest: int) -> None:
     if len(text) > longest:
-        raise JobInvalidError(f"{name}: up to {longest} characters are accepted, found {len(text)}")
+        raise JobTextError(f"{name}: up to {longest} characters are accepted, found {len(text)}")
     if _CONTROL.search(text):
-        raise JobInvalidError(
+        raise JobTextError(
             f"{name}: text without control characters is accepted, found {_shown(text)}"
         )
 

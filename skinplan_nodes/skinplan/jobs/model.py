@@ -45,6 +45,10 @@ class Job:
         operator_name: Who asked; may be empty.
         priority: Higher runs first.
         attributes: Free key/values, carried into the result.
+        part_id: Id that the part file must have; empty = not checked.
+        recipe_version: Of the measuring recipe that the order was made for; may be empty.
+        earliest_start_ns: Does not start before [ns since the epoch]; 0 = at once.
+        accept_due_calibration: Measure also where a calibration is missing or out of date.
     """
 
     job_id: str
@@ -55,6 +59,10 @@ class Job:
     operator_name: str = ""
     priority: int = 0
     attributes: tuple[tuple[str, str], ...] = ()
+    part_id: str = ""
+    recipe_version: str = ""
+    earliest_start_ns: int = 0
+    accept_due_calibration: bool = False
 
 
 @dataclass(frozen=True)
@@ -76,6 +84,10 @@ class JobRecord:
         error_code: Status code; 1 = all is well.
         error: One sentence; empty = all is well.
         changed_ns: Time of the last change, nanoseconds since the epoch.
+        step: Number of the step of the plan, from 1; 0 = not begun.
+        step_count: Steps of the plan, as far as it is known; 0 = not begun.
+        expected_end_ns: Estimate, wall time, nanoseconds since the epoch; 0 = unknown.
+        cleared: Somebody has fetched the result and acknowledged it.
     """
 
     job: Job
@@ -90,3 +102,26 @@ class JobRecord:
     error: str = ""
     changed_ns: int = 0
     rescan: int = 0
+    step: int = 0
+    step_count: int = 0
+    expected_end_ns: int = 0
+    cleared: bool = False
+
+
+@dataclass(frozen=True)
+class HistoryEntry:
+    """One change of a job.
+
+    Attributes:
+        at_ns: When [ns since the epoch].
+        state: State from then on.
+        sub_state: Sub-state from then on.
+        station: Station from then on, from 1; 0 = none.
+        reason: Why, or the error; may be empty.
+    """
+
+    at_ns: int
+    state: JobState
+    sub_state: str
+    station: int
+    reason: str

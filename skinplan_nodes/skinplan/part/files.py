@@ -51,8 +51,8 @@ from skinplan.part.points_file import read_points, write_points
 from skinplan.part.settings import read_settings, settings_fields
 from skinplan.transforms import Array
 
-_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan")
+PART_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
+PART_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan")
 
 
 def load_part(path: Path | str) -> Part:
@@ -72,9 +72,9 @@ def load_part(path: Path | str) -> Part:
         MeshError: The mesh is missing, can't be read, or has another hash.
     """
     file = Path(path)
-    fields = Fields(read_yaml(file), "", file.name, _KEYS)
+    fields = Fields(read_yaml(file), "", file.name, PART_KEYS)
     part_id = fields.text("id")
-    if not _ID.fullmatch(part_id):
+    if not PART_ID.fullmatch(part_id):
         raise fields.error("id", repr(part_id), "1 to 64 letters, digits, '_', '.' or '-'")
     mesh_path, unit, digest = _read_mesh(fields, file.parent)
     placed = fields.has("fixture") and fields.has("placement")

@@ -44,6 +44,7 @@ if TYPE_CHECKING:
         inspection_to_msg,
     )
     from skinplan_nodes.conversions.jobs import (
+        history_entry_to_msg,
         job_from_msg,
         job_status_from_msg,
         job_status_to_msg,
@@ -132,6 +133,7 @@ _MODULES = {
         "inspection_to_msg",
     ),
     "jobs": (
+        "history_entry_to_msg",
         "job_from_msg",
         "job_status_from_msg",
         "job_status_to_msg",
@@ -210,6 +212,7 @@ __all__ = [
     "image_to_msg",
     "inspection_from_msg",
     "inspection_to_msg",
+    "history_entry_to_msg",
     "job_from_msg",
     "job_status_from_msg",
     "job_status_to_msg",

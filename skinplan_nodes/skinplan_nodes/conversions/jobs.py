@@ -2,11 +2,12 @@
 
 from collections.abc import Iterable, Mapping, Sequence
 
+from builtin_interfaces.msg import Time
 from diagnostic_msgs.msg import KeyValue
 from skinplan_msgs import msg as messages
 
 from skinplan.errors import JobInvalidError
-from skinplan.jobs.model import Job, JobRecord, JobState
+from skinplan.jobs.model import HistoryEntry, Job, JobRecord, JobState
 from skinplan_nodes.conversions.geometry import header_to_msg, stamp_from_msg
 
 _STATES = {int(state) for state in JobState}
@@ -33,6 +34,10 @@ def job_to_msg(job: Job) -> messages.Job:
         operator_name=job.operator_name,
         priority=job.priority,
         attributes=key_values_to_msg(job.attributes),
+        part_id=job.part_id,
+        recipe_version=job.recipe_version,
+        earliest_start=_time_to_msg(job.earliest_start_ns),
+        accept_due_calibration=job.accept_due_calibration,
     )
 
 
@@ -47,6 +52,10 @@ def job_from_msg(msg: messages.Job) -> Job:
         operator_name=msg.operator_name,
         priority=msg.priority,
         attributes=key_values_from_msg(msg.attributes),
+        part_id=msg.part_id,
+        recipe_version=msg.recipe_version,
+        earliest_start_ns=_time_from_msg(msg.earliest_start),
+        accept_due_calibration=msg.accept_due_calibration,
     )
 
 
@@ -60,6 +69,10 @@ def job_status_to_msg(record: JobRecord) -> messages.JobStatus:
         station=record.station,
         station_count=record.station_count,
         rescan=record.rescan,
+        step=record.step,
+        step_count=record.step_count,
+        expected_end=_time_to_msg(record.expected_end_ns),
+        cleared=record.cleared,
         progress=float(record.progress),
         time_left=float(record.time_left_s),
         run_folder=record.run_folder,
@@ -94,4 +107,28 @@ def job_status_from_msg(msg: messages.JobStatus, job: Job | None = None) -> JobR
         error_code=msg.status.code,
         error=msg.status.message,
         changed_ns=round(stamp_from_msg(msg.header.stamp) * 1e9),
+        step=msg.step,
+        step_count=msg.step_count,
+        expected_end_ns=_time_from_msg(msg.expected_end),
+        cleared=msg.cleared,
     )
+
+
+def history_entry_to_msg(entry: HistoryEntry) -> messages.JobChange:
+    """Converts a change of a job."""
+    return messages.JobChange(
+        stamp=_time_to_msg(entry.at_ns),
+        state=int(entry.state),
+        sub_state=entry.sub_state,
+        station=entry.station,
+        reason=entry.reason,
+    )
+
+
+def _time_to_msg(at_ns: int) -> Time:
+    """Wall time to the nanosecond, which a float has no room for."""
+    return Time(sec=at_ns // 1_000_000_000, nanosec=at_ns % 1_000_000_000)
+
+
+def _time_from_msg(msg: Time) -> int:
+    return int(msg.sec) * 1_000_000_000 + int(msg.nanosec)

@@ -157,7 +157,8 @@ class Mission:
         steps = self._steps
         before = steps.progress.title
         name = sub_state(state)
-        steps.progress = share_of(state, steps.progress.at_state(name, steps.place.station), steps)
+        begun = steps.progress.at_state(name, steps.place.station, steps.cell.now_s())
+        steps.progress = share_of(state, begun, steps)
         if steps.progress.title != before:
             steps.record.folder.note(steps.progress.title)
         why = self._why if state in INTERRUPTED else None

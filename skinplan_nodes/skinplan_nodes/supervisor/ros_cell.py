@@ -133,6 +133,10 @@ class RosCell:
             return StepError(Status.NODE_LOST, f"node {absent[0]} is not back", absent[0])
         return None
 
+    def faults(self) -> list[StepError]:
+        """Returns why devices can't go on."""
+        return self._devices.faults()
+
     def reset_devices(self, all_devices: bool) -> None:
         """Resets the devices that we stopped, or all that stand still because of a fault."""
         self._devices.reset(all_devices)

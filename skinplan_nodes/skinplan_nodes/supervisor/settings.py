@@ -1,8 +1,11 @@
 """Parameters of the supervisor that say how a job goes on after an interruption."""
 
+from pathlib import Path
 from types import SimpleNamespace
 
+from skinplan.robot.calibration import calibration_path
 from skinplan_nodes.parameters import Parameter
+from skinplan_nodes.supervisor.admission import CalibrationBook
 from skinplan_nodes.supervisor.limits import Limits
 from skinplan_nodes.supervisor.mission import ResumeSettings
 from skinplan_nodes.supervisor.steps import RescanSettings
@@ -74,6 +77,36 @@ RESUMING = (
         1.0,
     ),
 )
+
+
+JOBS = (
+    Parameter(
+        "operators",
+        [""],
+        "Names of those who may hand in and command jobs; empty = everybody.",
+    ),
+    Parameter(
+        "calibration_file",
+        "",
+        "Facts about the cell's calibration; empty = cell.calibration.yaml beside cell.yaml.",
+    ),
+    Parameter(
+        "calibration_required",
+        True,
+        "Jobs are refused where a calibration is missing; one that is out of date always counts.",
+    ),
+    Parameter("queue_max", 200, "So many jobs may wait [1].", 1, 100000),
+    Parameter("jobs_kept", 10000, "So many jobs that are over are kept [1].", 1, 1000000),
+    Parameter("days_kept", 365.0, "Jobs that are over are kept so long [d].", 0.01, 36500.0),
+)
+
+
+def calibration_book(values: SimpleNamespace) -> CalibrationBook:
+    """Returns the facts about the cell's calibration, from the supervisor's parameters."""
+    path = calibration_path(values.cell_file)
+    if values.calibration_file:
+        path = Path(values.calibration_file).absolute()
+    return CalibrationBook(path)
 
 
 def work_settings(values: SimpleNamespace) -> WorkSettings:

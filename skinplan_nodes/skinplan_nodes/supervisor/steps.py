@@ -139,7 +139,7 @@ class Steps:
         spent_s = time.perf_counter() - begin
         place.plan, place.station = plan, 1
         self.record.stations(plan, place.T_map_workpiece, spent_s, place.rescan)
-        self.progress = self.progress.planned(plan, self.config.settle_s, place.rescan)
+        self.progress = self.progress.planned(plan, self.config, place.rescan)
         return Event.DONE
 
     def planning_trajectory(self) -> Event:

@@ -3,7 +3,7 @@
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +52,7 @@ class Outcome:
         error: Step, node and reason in one sentence; empty = all is well.
         folder: The run's folder; None = it could not be made.
         data: What was gathered.
+        summary: What was written as ``summary.json``; None = it could not be written.
     """
 
     state: JobState
@@ -59,6 +60,7 @@ class Outcome:
     error: str
     folder: RunFolder | None
     data: RunData
+    summary: dict[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -95,6 +97,7 @@ class JobWorker:
         runs_folder: Gets the folders of the runs.
         code_of: Status code of an error of the library.
         settings: How jobs are worked off.
+        calibration: Returns the facts about the cell's calibration, for the summary.
     """
 
     cell: Cell
@@ -102,6 +105,7 @@ class JobWorker:
     runs_folder: Path
     code_of: Callable[[SkinplanError], int]
     settings: WorkSettings
+    calibration: Callable[[], list[dict[str, Any]]] = list
     _left: list[Place] = field(default_factory=list)
 
     def work(
@@ -129,11 +133,11 @@ class JobWorker:
         if made.failure is not None:
             outcome = self._failed(made.failure, folder, made.data)
         try:
-            self._write(job, made.part, folder, outcome, made.failure)
+            summary = self._write(job, made.part, folder, outcome, made.failure)
         except Exception as error:  # the job must come to an end, whatever it is
             _log.exception("job %s: writing the summary", job.job_id)
             return self._failed(self._step_error(error, "closing"), folder, made.data)
-        return outcome
+        return replace(outcome, summary=summary)
 
     def _run(
         self,
@@ -194,7 +198,7 @@ class JobWorker:
         self._left[:] = [steps.place]
         if found.place.plan is not None:
             steps.progress = steps.progress.planned(
-                found.place.plan, self.config.settle_s, found.place.rescan
+                found.place.plan, self.config, found.place.rescan
             )
         at_start = settings.resume.at_start and found.age_s <= settings.resume_age_max_s
         return Mission(
@@ -234,7 +238,7 @@ class JobWorker:
         folder: RunFolder,
         outcome: Outcome,
         failure: StepError | None,
-    ) -> None:
+    ) -> dict[str, Any]:
         folder.note(f"{outcome.state.title}{': ' + outcome.error if outcome.error else ''}")
         error: dict[str, Any] | None = None
         if failure is not None:
@@ -252,10 +256,12 @@ class JobWorker:
             self.config,
             None if part is None else part.scan,
         )
+        summary["calibration"] = self.calibration()
         folder.finish(summary)
         # Who interrupts a job does not want to wait for a report.
         if self.settings.with_report and not isinstance(failure, AbortError):
             self._report(folder)
+        return summary
 
     def _report(self, folder: RunFolder) -> None:
         """Writes the report; the measurement is good also without."""
@@ -281,6 +287,7 @@ def sentence(error: StepError) -> str:
 
 def _metadata(job: Job, part: Part) -> dict[str, str]:
     named = {"job_id": job.job_id, "order_id": job.order_id, "serial_number": job.serial_number}
+    named |= {"operator_name": job.operator_name, "recipe_version": job.recipe_version}
     found = {"part": part.id, "part_uri": job.part_uri, "mesh_sha256": part.mesh_sha256}
     return {**named, **found, **dict(job.attributes)}
 
@@ -293,5 +300,8 @@ def _job_document(job: Job, part: Part | None, outcome: Outcome) -> dict[str, An
         "serial_number": job.serial_number,
         "part": None if part is None else part.id,
         "part_uri": job.part_uri,
+        "recipe_version": job.recipe_version,
+        "operator_name": job.operator_name,
+        "accept_due_calibration": job.accept_due_calibration,
         "attributes": dict(job.attributes),
     }
