@@ -23,6 +23,8 @@ Ask = JobCommand.Request
 #: What happens in the middle of a job, by its number.
 EVENTS = {2: "kill", 4: "pause", 6: "abort", 8: "kill", 12: "kill"}
 
+ATTRIBUTES = {"shift": "late", "note": "<b>Zoë & co</b>"}
+
 
 def write_parts(folder: Path) -> list[Path]:
     """Writes three parts that fit the same cell: id, mesh and hash differ."""
@@ -48,7 +50,7 @@ def orders_of(parts: list[Path], count: int) -> list[dict[str, Any]]:
             "part_id": f"panel{number % len(parts)}",
             "recipe_version": "3",
             "priority": 100 - number,
-            "attributes": {"shift": "late", "note": "<b>Zoë & co</b>"},
+            "attributes": ATTRIBUTES,
         }
         for number in range(1, count + 1)
     ]
@@ -111,7 +113,7 @@ def check(fetched: dict[str, JobGet.Response], events: dict[int, str]) -> None:
         if wanted is JobState.ENDED:
             assert {"driving", "localizing", "planning", "scanning", "inspecting"} <= set(subs)
             assert '"area_ratio"' in found.result
-        assert found.job.attributes[1].value == "<b>Zoë & co</b>"
+        assert {item.key: item.value for item in found.job.attributes} == ATTRIBUTES, job_id
 
 
 def kill_process(pid: int) -> None:

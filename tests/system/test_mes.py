@@ -6,10 +6,9 @@ from pathlib import Path
 import psutil
 import pytest
 import rclpy
-from mes_client import MesClient  # noqa: I001  the path is set by mes_orders
 from skinplan_msgs.msg import Status
 
-from mes_orders import EVENTS, check, hand_in, orders_of, work_through, write_parts
+from mes_orders import EVENTS, MesClient, check, hand_in, orders_of, work_through, write_parts
 from skinplan.jobs.store import JobStore
 from system.graph_run import GraphRun
 

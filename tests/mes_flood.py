@@ -1,0 +1,159 @@
+"""Floods the job services of a cell with calls, malformed ones among them, from one process.
+
+``python tests/mes_flood.py --calls 1250 --seed 1 --job-id J --part-uri P`` prints one JSON line:
+the calls, the status codes that came back, how long the answers took. Nobody of the cell's list of
+operators asks for anything that would change a job.
+"""
+
+import argparse
+import json
+import random
+import sys
+import time
+from collections import Counter
+from collections.abc import Callable
+from typing import Any
+
+import rclpy
+from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import KeyValue
+from rclpy.node import Node
+from skinplan_msgs.msg import Job, PartReference
+from skinplan_msgs.srv import JobCommand, JobGet, JobList, JobSubmit
+
+#: A call that was not answered by then counts as unanswered [s].
+PATIENCE_S = 20.0
+TEXTS = (
+    "",
+    "Eve",
+    "../../etc",
+    "a\x00b",
+    "\x1b[2J",
+    "x" * 500,
+    "<script>",
+    "\U0001f600" * 90,
+    "%s%n",
+)
+
+
+class Flood:
+    """Calls the four services one after the other.
+
+    Args:
+        job_id: The job on the cell.
+        part_uri: A part that exists.
+        seed: Of the choice of calls.
+    """
+
+    def __init__(self, job_id: str, part_uri: str, seed: int) -> None:
+        self._job_id, self._part_uri = job_id, part_uri
+        self._rng = random.Random(seed)
+        self.node = Node(f"flood_{seed}")
+        self._clients = {
+            kind: self.node.create_client(kind, f"jobs/{name}")
+            for kind, name in (
+                (JobSubmit, "submit"),
+                (JobGet, "get"),
+                (JobList, "list"),
+                (JobCommand, "command"),
+            )
+        }
+        self.codes: Counter[int] = Counter()
+        self.taken_s: list[float] = []
+        self.unanswered = 0
+
+    def run(self, calls: int) -> None:
+        """Makes so many calls."""
+        for client in self._clients.values():
+            assert client.wait_for_service(timeout_sec=60.0), client.srv_name
+        makers: tuple[Callable[[], Any], ...] = (
+            self._submit,
+            self._get,
+            self._list,
+            self._command,
+        )
+        for _ in range(calls):
+            request = self._rng.choice(makers)()
+            kind = next(k for k in self._clients if isinstance(request, k.Request))
+            begin = time.monotonic()
+            answer = self._clients[kind].call_async(request)
+            rclpy.spin_until_future_complete(self.node, answer, timeout_sec=PATIENCE_S)
+            self.taken_s.append(time.monotonic() - begin)
+            if answer.done():
+                self.codes[answer.result().status.code] += 1
+            else:
+                self.unanswered += 1
+
+    def _text(self) -> str:
+        return self._rng.choice(TEXTS)
+
+    def _submit(self) -> JobSubmit.Request:
+        rng = self._rng
+        job = Job(job_id=rng.choice(("", self._job_id, "new", self._text())))
+        job.part = PartReference(
+            uri=rng.choice((self._part_uri, "/dev/zero", "relative", "http://x/y", self._text())),
+            mesh_sha256=rng.choice(("", "0" * 64, self._text())),
+        )
+        # Of the list only with something that can't be accepted.
+        job.operator_name = rng.choice(("Eve", "Anna", self._text()))
+        job.order_id = "y" * 200 if job.operator_name == "Anna" else self._text()
+        job.priority = rng.choice((0, 2**31 - 1, -(2**31)))
+        job.earliest_start = Time(sec=rng.choice((0, -5, 2**31 - 1)))
+        many = rng.choice((0, 3, 500))
+        job.attributes = [KeyValue(key=self._text(), value=self._text()) for _ in range(many)]
+        return JobSubmit.Request(job=job)
+
+    def _get(self) -> JobGet.Request:
+        job_id = self._rng.choice(("", self._job_id, self._text(), "z" * 100_000))
+        deep = self._rng.random() < 0.5
+        return JobGet.Request(job_id=job_id, with_history=deep, with_result=deep)
+
+    def _list(self) -> JobList.Request:
+        rng = self._rng
+        return JobList.Request(
+            limit=rng.choice((0, 1, 2**32 - 1)),
+            before_job_id=rng.choice(("", self._text())),
+            states=rng.choice(([], [2], [255] * 1000)),
+            include_cleared=rng.random() < 0.5,
+        )
+
+    def _command(self) -> JobCommand.Request:
+        rng = self._rng
+        return JobCommand.Request(
+            job_id=rng.choice((self._job_id, "", self._text())),
+            command=rng.randrange(256) if rng.random() < 0.3 else rng.randrange(1, 8),
+            operator_name=rng.choice(("", "Eve", "anna", "Anna ", self._text())),
+            reason=rng.choice(("", self._text(), "r" * 50_000)),
+        )
+
+
+def main() -> int:
+    """Entry point."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--calls", type=int, required=True)
+    parser.add_argument("--seed", type=int, required=True)
+    parser.add_argument("--job-id", required=True)
+    parser.add_argument("--part-uri", required=True)
+    given = parser.parse_args()
+    rclpy.init(args=[])
+    flood = Flood(given.job_id, given.part_uri, given.seed)
+    begin = time.monotonic()
+    flood.run(given.calls)
+    taken = sorted(flood.taken_s)
+    report = {
+        "calls": len(taken),
+        "unanswered": flood.unanswered,
+        "codes": dict(sorted(flood.codes.items())),
+        "median_s": taken[len(taken) // 2],
+        "p99_s": taken[int(0.99 * len(taken))],
+        "slowest_s": taken[-1],
+        "seconds": time.monotonic() - begin,
+    }
+    sys.stdout.write(json.dumps(report) + "\n")
+    flood.node.destroy_node()
+    rclpy.try_shutdown()
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
