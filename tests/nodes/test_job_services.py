@@ -1,6 +1,7 @@
 """What an MES is told: a code for every refusal, histories, results, pages; and who may command."""
 
 import json
+import re
 import time
 from collections.abc import Callable, Iterator
 from datetime import UTC, datetime, timedelta
@@ -18,9 +19,14 @@ from skinplan_msgs.srv import JobCommand, JobGet, JobList
 
 from nodes.bench import Bench
 from nodes.test_cell_supervisor import Ask, Desk
+from skinplan.jobs import checks
+from skinplan.jobs.model import JobCommand as JobCommands
+from skinplan.jobs.model import JobState
 from skinplan.part.samples import write_sample
 from skinplan.robot.calibration import NAMES, note_calibration
 from skinplan_nodes.qos import LATCHED
+
+ROOT = Path(__file__).resolve().parents[2]
 
 
 @pytest.fixture(scope="module")
@@ -233,3 +239,31 @@ def test_reasons_are_limited_and_change_nothing(desk: Callable[..., Desk]) -> No
         answer = cell.call(JobCommand, "command", job_id="j1", command=Ask.ABORT, reason=reason)
         assert answer.status.code == Status.JOB_TEXT_REFUSED
     assert cell.call(JobGet, "get", job_id="j1").job_status.state == JobStatus.NOT_ALLOWED_TO_START
+
+
+def test_the_manual_names_every_code_command_and_state_of_a_job() -> None:
+    text = (ROOT / "docs" / "mes.md").read_text(encoding="utf-8")
+    message = (ROOT / "skinplan_msgs" / "msg" / "Status.msg").read_text(encoding="utf-8")
+    codes = re.findall(
+        r"^uint16 ((?:JOB|CALIBRATION|PART)_\w+|RESUME_REFUSED) = (\d+)", message, re.M
+    )
+    # What can happen to a part once the job runs stands in the manual of the supervisor.
+    codes = [(name, code) for name, code in codes if name != "PART_MOVED"]
+    assert len(codes) >= 15
+    for name, code in codes:
+        assert re.search(rf"\b{code}\b[^\n]*`{name}`", text), name
+    for command in JobCommands:
+        assert f"{command.name} ({command.value})" in text
+    for state in JobState:
+        assert state.title in text
+    for name in (*LIMITS, "jobs/submit", "jobs/get", "jobs/list", "jobs/command", "job_status"):
+        assert name in text, name
+
+
+LIMITS = (
+    f"{checks.LONGEST_NAME} characters",
+    f"{checks.LONGEST_URI} characters",
+    f"{checks.LONGEST_REASON} characters",
+    f"{checks.LONGEST_VALUE} characters",
+    f"up to {checks.MOST_ATTRIBUTES}",
+)

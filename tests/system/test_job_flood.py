@@ -30,6 +30,7 @@ def client() -> Iterator[MesClient]:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(2400)
 def test_ten_thousand_calls_beside_a_job(tmp_path: Path, client: MesClient) -> None:
     config = tmp_path / "config"
     config.mkdir()

@@ -23,6 +23,7 @@ def client() -> Iterator[MesClient]:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(2400)
 def test_twenty_orders_with_all_that_happens_to_orders(tmp_path: Path, client: MesClient) -> None:
     parts = write_parts(tmp_path)
     options = ["--serve", "--time-factor", "10", "--restarts", "10", "--job-id", "served"]
