@@ -23,6 +23,7 @@ from skinplan_msgs.srv import JobCommand, JobGet, JobList, JobSubmit
 
 #: A call that was not answered by then counts as unanswered [s].
 PATIENCE_S = 20.0
+_LOOK_S = 0.002
 TEXTS = (
     "",
     "Eve",
@@ -76,13 +77,29 @@ class Flood:
             request = self._rng.choice(makers)()
             kind = next(k for k in self._clients if isinstance(request, k.Request))
             begin = time.monotonic()
-            answer = self._clients[kind].call_async(request)
-            rclpy.spin_until_future_complete(self.node, answer, timeout_sec=PATIENCE_S)
+            answer = self._call(kind, request)
             self.taken_s.append(time.monotonic() - begin)
-            if answer.done():
-                self.codes[answer.result().status.code] += 1
-            else:
+            if answer is None:
                 self.unanswered += 1
+            else:
+                self.codes[answer.status.code] += 1
+
+    def _call(self, kind: Any, request: Any) -> Any:
+        """Asks past the executor.
+
+        Every client of a service is woken by the answers to all others; with rclpy's executor eight
+        floods take more of a machine of two cores than the whole cell.
+        """
+        handle = self._clients[kind].handle
+        with handle:
+            number = handle.send_request(request)
+            deadline = time.monotonic() + PATIENCE_S
+            while time.monotonic() < deadline:
+                header, response = handle.take_response(kind.Response)
+                if header is not None and header.request_id.sequence_number == number:
+                    return response
+                time.sleep(_LOOK_S)
+        return None
 
     def _text(self) -> str:
         return self._rng.choice(TEXTS)
