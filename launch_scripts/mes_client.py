@@ -34,6 +34,9 @@ LOOK_S = 2.0
 # What may be tried again later; every other refusal is for good.
 LATER = (Status.DEVICE_NOT_READY, Status.JOB_QUEUE_FULL, Status.JOB_STORE_FAILED)
 OVER = (JobStatus.ENDED, JobStatus.ABORTED)
+# Every client of a service gets the answers to all others, too: with the default depth of 10 they
+# may push ours out before it is taken.
+CALLS = QoSProfile(depth=500)
 NAMES = {
     JobStatus.NOT_ALLOWED_TO_START: "NotAllowedToStart",
     JobStatus.ALLOWED_TO_START: "AllowedToStart",
@@ -70,9 +73,9 @@ class MesClient:
         self._patience_s = patience_s
         self._on_status = on_status
         self.node = Node("mes_client", namespace=namespace)
-        self._submit = self.node.create_client(JobSubmit, "jobs/submit")
-        self._get = self.node.create_client(JobGet, "jobs/get")
-        self._command = self.node.create_client(JobCommand, "jobs/command")
+        self._submit = self.node.create_client(JobSubmit, "jobs/submit", qos_profile=CALLS)
+        self._get = self.node.create_client(JobGet, "jobs/get", qos_profile=CALLS)
+        self._command = self.node.create_client(JobCommand, "jobs/command", qos_profile=CALLS)
         self.states: dict[str, JobStatus] = {}
         latched = QoSProfile(depth=10, durability=DurabilityPolicy.TRANSIENT_LOCAL)
         self.node.create_subscription(JobStatus, "job_status", self._take, latched)

@@ -27,7 +27,11 @@ LATCHED = _profile(1, latched=True)
 #: ``tf_static``: latched, of several publishers.
 STATIC_TF = _profile(100, latched=True)
 
-#: Every profile by its name.
+#: Services that many clients call at once: with the default of 10, the eleventh request or answer
+#: that waits takes the place of the first, which is then never answered.
+CALLS = _profile(500)
+
+#: Every profile of topics by its name.
 PROFILES = {
     "SENSOR": SENSOR,
     "IMAGE": IMAGE,

@@ -23,6 +23,7 @@ from skinplan_nodes.conversions import (
     job_to_msg,
 )
 from skinplan_nodes.goal_slot import GoalEnd, accept_goal, conclude
+from skinplan_nodes.qos import CALLS
 from skinplan_nodes.replies import log_error, ok, replies, status_of
 from skinplan_nodes.supervisor.admission import Admission
 from skinplan_nodes.supervisor.desk import JobDesk
@@ -42,10 +43,10 @@ class JobServices:
         self._desk = desk
         self._store = store
         self.get_logger = node.get_logger
-        node.create_service(JobSubmit, "jobs/submit", self._on_submit)
-        node.create_service(JobGet, "jobs/get", self._on_get)
-        node.create_service(JobList, "jobs/list", self._on_list)
-        node.create_service(JobCommand, "jobs/command", self._on_command)
+        node.create_service(JobSubmit, "jobs/submit", self._on_submit, qos_profile=CALLS)
+        node.create_service(JobGet, "jobs/get", self._on_get, qos_profile=CALLS)
+        node.create_service(JobList, "jobs/list", self._on_list, qos_profile=CALLS)
+        node.create_service(JobCommand, "jobs/command", self._on_command, qos_profile=CALLS)
 
     @replies
     def _on_submit(self, request: JobSubmit.Request, response: JobSubmit.Response) -> None:
