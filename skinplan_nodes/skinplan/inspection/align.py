@@ -1,4 +1,6 @@
-"""Lays a measured cloud on a mesh: point-to-plane ICP, robust (Tukey), held by a weak prior.
+"""Lays a cloud on a mesh quickly: point-to-plane ICP, robust (Tukey), held by a weak prior.
+
+For recognition, which tries many poses; a measured part is laid on its mesh by `registration`.
 
 A smooth flat panel says nothing about where it lies along itself: without the prior the solution
 would slide. The prior says how well the initial pose is known; wherever the shape says more,

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skinplan.errors import AlignmentError
-from skinplan.inspection.align import AlignSettings, align, checked_points
+from skinplan.inspection.align import checked_points
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.coverage import RADIUS_M, CoverageSoFar
 from skinplan.inspection.model import Inspection
+from skinplan.inspection.registration import RegistrationSettings, register
 from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.scanner.model import SurfaceSamples
 from skinplan.scanner.samples import sample_surface
@@ -25,13 +26,13 @@ class InspectionSettings:
         spacing_m: Spacing of the surface samples [m].
         radius_m: A sample counts as measured when a point lies within this distance [m].
         deviation_max_m: Points farther from the surface are none of the part's [m].
-        align: How the cloud is laid on the part.
+        registration: How the cloud is laid on the part.
     """
 
     spacing_m: float = 0.005
     radius_m: float = RADIUS_M
     deviation_max_m: float = 0.02
-    align: AlignSettings = field(default_factory=AlignSettings)
+    registration: RegistrationSettings = field(default_factory=RegistrationSettings)
 
 
 def coverage_so_far(
@@ -76,7 +77,7 @@ def inspect(
     if coverage is None:
         coverage = coverage_so_far(samples, segmentation, settings.radius_m)
     index = SurfaceIndex(mesh, samples)
-    alignment = align(cloud, index, T_tracker_workpiece, settings.align)
+    alignment = register(cloud, index, T_tracker_workpiece, settings.registration)
     T_workpiece_tracker = inverse(alignment.T_tracker_workpiece)
     deviation = np.empty(len(cloud))
     for begin in range(0, len(cloud), _BATCH):
