@@ -40,6 +40,11 @@ class CoarsePose:
         self._estimate = None
         return True
 
+    @property
+    def count(self) -> int:
+        """Number of estimates taken in."""
+        return sum(len(poses) for poses in self._stands.values())
+
     def estimate(self) -> Array | None:
         """Returns ``T_tracker_workpiece``, shape (4, 4) [m]; None = not known yet."""
         if self._estimate is None:

@@ -184,7 +184,7 @@ class ScanInspector(CellNode):
         session = intake.session
         self._publish(session)
         try:
-            inspection = session.finish(cloud)
+            inspection = session.finish(cloud, final=not request.go_on)
         finally:
             if not request.go_on:
                 session.close()

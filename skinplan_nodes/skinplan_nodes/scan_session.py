@@ -17,9 +17,11 @@ from skinplan.inspection.coverage import CoverageSoFar
 from skinplan.inspection.measure import InspectionSettings, coverage_so_far, inspect
 from skinplan.inspection.merge import MergedCloud
 from skinplan.inspection.model import Inspection
+from skinplan.inspection.results import write_results
 from skinplan.inspection.spool import FrameSpool
 from skinplan.inspection.spool_records import FrameRecord, HiddenRecord, PoseRecord, Record
 from skinplan.mesh.prepare import PreparedMesh
+from skinplan.part.model import Part
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import Array, apply, inverse, rotate
 from skinplan_nodes.coarse_pose import CoarsePose
@@ -66,6 +68,15 @@ class Progress:
     feature_area_ratio: float
 
 
+@dataclass(frozen=True, eq=False)
+class _Inspected:
+    """The last inspection, and how many points and estimates of the place it was made from."""
+
+    received: tuple[int, int]
+    inspection: Inspection
+    coverage: CoverageSoFar
+
+
 @dataclass(eq=False)
 class _Waiting:
     """Points that the coverage has not seen yet."""
@@ -82,6 +93,7 @@ class ScanSession:
         prepared: The part's mesh and complex regions.
         settings: How to merge and judge.
         spool: Keeps on disk what is taken in; None = in memory only.
+        part: Says what the part is judged by; None = nothing.
     """
 
     def __init__(
@@ -90,8 +102,11 @@ class ScanSession:
         prepared: PreparedMesh,
         settings: SessionSettings,
         spool: FrameSpool | None = None,
+        part: Part | None = None,
     ) -> None:
         self.job_id = job_id
+        self._part = part
+        self._last: _Inspected | None = None
         self._prepared = prepared
         self._settings = settings
         self._spool = spool
@@ -171,12 +186,13 @@ class ScanSession:
                 self._coverage.feature_area_ratio if known else float("nan"),
             )
 
-    def finish(self, cloud: Path | None) -> Inspection:
+    def finish(self, cloud: Path | None, final: bool = True) -> Inspection:
         """Aligns and measures the cloud and writes it; when that fails, the cloud as it came.
 
         Args:
-            cloud: PLY to write, with ``deviation``, ``intensity`` and ``incidence``; beside it
-                ``coverage.ply``. None = not written.
+            cloud: PLY to write, with ``deviation``, ``intensity`` and ``incidence``; beside it what
+                `write_results` writes. None = not written.
+            final: Also write what only a finished run needs.
 
         Raises:
             NoCloudError: No points.
@@ -186,6 +202,7 @@ class ScanSession:
         with self._lock:
             points, extra = self._cloud.points()
             coarse = self._coarse.estimate()
+            received = self._cloud.received, self._coarse.count
             if self._spool is not None:
                 self._spool.sync()
         if len(points) == 0:
@@ -193,20 +210,28 @@ class ScanSession:
                 f"job {self.job_id}: a cloud was asked for, but {self._frames} scan frames brought "
                 f"no points"
             )
-        coverage = self._empty_coverage()
-        try:
-            inspection = self._inspected(points, extra, coarse, coverage)
-        except Exception:
-            if cloud is not None:
-                write_ply(cloud, points, "tracker", _values(extra))
-            raise
+        if self._last is not None and self._last.received == received:
+            # Nothing has come since the last inspection: it would find the same.
+            inspection, coverage = self._last.inspection, self._last.coverage
+        else:
+            coverage = self._empty_coverage()
+            try:
+                inspection = self._inspected(points, extra, coarse, coverage)
+            except Exception:
+                if cloud is not None:
+                    write_ply(cloud, points, "tracker", _values(extra))
+                raise
+            self._last = _Inspected(received, inspection, coverage)
         if cloud is not None:
-            local = apply(inverse(inspection.alignment.T_tracker_workpiece), points)
-            values = {"deviation": inspection.deviation, **_values(extra)}
-            write_ply(cloud, local, "workpiece", values)
-            measured = {"measured": coverage.measured.astype(float)}
-            write_ply(
-                cloud.with_name("coverage.ply"), coverage.samples.points, "workpiece", measured
+            write_results(
+                cloud,
+                points,
+                inspection,
+                coverage,
+                _values(extra),
+                None if self._part is None else self._part.inspection,
+                None if self._part is None else self._part.points,
+                final,
             )
         return inspection
 

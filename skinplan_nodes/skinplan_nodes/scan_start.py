@@ -95,23 +95,22 @@ def begin(
     """
     owner = SpoolOwner(request.job_id, part.id, part.mesh_sha256)
     if not request.folder:
-        return Begun(ScanSession(request.job_id, prepared, settings), owner)
+        return Begun(ScanSession(request.job_id, prepared, settings, None, part), owner)
     folder = Path(request.folder)
     try:
         if request.resume:
             spool, records = FrameSpool.resume(folder, owner)
-            session = ScanSession(request.job_id, prepared, settings, spool)
+            session = ScanSession(request.job_id, prepared, settings, spool, part)
             session.restore(records)
         else:
-            session = ScanSession(
-                request.job_id, prepared, settings, FrameSpool.create(folder, owner)
-            )
+            spool = FrameSpool.create(folder, owner)
+            session = ScanSession(request.job_id, prepared, settings, spool, part)
     except OSError as error:
         warning = (
             f"scan frames can't be kept in {folder} ({error.strerror or error}); they are in "
             f"memory only and can't be resumed by another process"
         )
-        return Begun(ScanSession(request.job_id, prepared, settings), owner, warning)
+        return Begun(ScanSession(request.job_id, prepared, settings, None, part), owner, warning)
     return Begun(session, owner)
 
 

@@ -241,7 +241,13 @@ def test_results_are_written_in_the_workpiece_frame(tmp_path: Path) -> None:
     local, pose = measured(mesh, rng, 3000, 3e-5), random_pose(rng, 2.0, 1.0)
     coverage = coverage_so_far(sample_surface(mesh, SPACING), flat(mesh))
     found = inspect(apply(pose, local), mesh, flat(mesh), pose, coverage=coverage)
-    write_results(tmp_path / "cloud.ply", apply(pose, local), found, coverage, np.arange(3000.0))
+    write_results(
+        tmp_path / "cloud.ply",
+        apply(pose, local),
+        found,
+        coverage,
+        {"intensity": np.arange(3000.0)},
+    )
     cloud, samples = read_ply(tmp_path / "cloud.ply"), read_ply(tmp_path / "coverage.ply")
     assert (cloud.frame, samples.frame) == ("workpiece", "workpiece")
     # So thin a cloud tells a shift along the part by its border only roughly.

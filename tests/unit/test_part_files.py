@@ -141,3 +141,43 @@ def test_settings_are_checked_without_a_file_too():
     assert check_settings(settings).row_direction == pytest.approx((0.6, 0.0, 0.8))
     with pytest.raises(PartInvalidError, match="tilt_max_rad"):
         check_settings(dataclasses.replace(settings, tilt_max_rad=-1.0))
+
+
+def test_tolerances_and_characteristics_are_read_and_written(part, tmp_path):
+    asked = {
+        "deviation_max_m": 0.0005,
+        "area_ratio_min": 0.9,
+        "characteristics": [
+            {"id": "skin", "kind": "profile", "tolerance_m": 0.001},
+            {"id": "knob", "kind": "sphere_diameter", "nominal_m": 0.06, "tolerance_m": 0.0001,
+             "centre_m": [0.4, 0.1, 0.03], "radius_m": 0.04},
+        ],
+    }  # fmt: skip
+    found = load_part(edited(part, lambda values: values.update(inspection=asked)))
+    assert found.inspection.deviation_max_m == 0.0005
+    kinds = [each.kind for each in found.inspection.characteristics]
+    assert kinds == ["profile", "sphere_diameter"]
+    again = load_part(save_part(found, tmp_path / "again.yaml"))
+    assert again.inspection == found.inspection
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        ({"deviation_max_m": -1.0}, "inspection.deviation_max_m"),
+        ({"area_ratio_min": 95}, "share from 0 to 1"),
+        ({"tolerance": 1}, "unknown key inspection.tolerance"),
+        ({"characteristics": {"id": "a"}}, "a list of up to"),
+        ({"characteristics": [{"id": "<b>", "kind": "profile", "tolerance_m": 1e-3}]}, "letters"),
+        ({"characteristics": [{"id": "a", "kind": "size", "tolerance_m": 1e-3}]}, "profile, flat"),
+        ({"characteristics": [{"id": "a", "kind": "profile"}]}, "tolerance_m: found nothing"),
+        (
+            {"characteristics": [{"id": "a", "kind": "sphere_diameter", "tolerance_m": 1e-3}]},
+            "nominal_m",
+        ),
+        ({"characteristics": 2 * [{"id": "a", "kind": "profile", "tolerance_m": 1e-3}]}, "twice"),
+    ],
+)
+def test_a_wrong_inspection_is_named(part, asked, said):
+    with pytest.raises(PartInvalidError, match=said):
+        load_part(edited(part, lambda values: values.update(inspection=asked)))

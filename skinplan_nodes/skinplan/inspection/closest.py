@@ -34,6 +34,7 @@ class Closest:
         distance: shape (n,) [m], >= 0.
         on_border: On the open border of the mesh, shape (n,) bool: beyond it there is no surface
             to compare with.
+        samples: About nearest sample of the index, shape (n,).
     """
 
     points: Array
@@ -41,6 +42,7 @@ class Closest:
     normals: Array
     distance: Array
     on_border: NDArray[np.bool_]
+    samples: NDArray[np.int64]
 
     def signed(self, points: Array) -> Array:
         """Returns the distance of the query points, positive outside, shape (n,) [m]."""
@@ -69,6 +71,11 @@ class SurfaceIndex:
         unseeded = np.setdiff1d(np.flatnonzero(mesh.face_areas > 0.0), samples.faces)
         self._faces = np.concatenate([samples.faces, unseeded])
         self._tree = cKDTree(np.concatenate([samples.points, mesh.centroids[unseeded]]))
+        # Faces that no sample lies on have a seed of their own, which stands for the next sample.
+        beside = np.zeros(0, dtype=np.int64)
+        if len(samples.points):
+            beside = cKDTree(samples.points).query(mesh.centroids[unseeded])[1].astype(np.int64)
+        self._sample_of = np.concatenate([np.arange(len(samples.points)), beside])
         self._neighbours = edge_neighbours(mesh)
         self._triangles = _Triangles(mesh.corners)
 
@@ -84,13 +91,14 @@ class SurfaceIndex:
         batches = [self._batch(points[i : i + _BATCH]) for i in range(0, len(points), _BATCH)]
         if not batches:
             empty = np.zeros((0, 3))
-            return Closest(empty, np.zeros(0, np.int64), empty, np.zeros(0), np.zeros(0, bool))
+            none = np.zeros(0, np.int64)
+            return Closest(empty, none, empty, np.zeros(0), np.zeros(0, bool), none)
         fields = (np.concatenate(parts) for parts in zip(*batches, strict=True))
         return Closest(*fields)
 
     def _batch(
         self, points: Array
-    ) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.bool_]]:
+    ) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.bool_], NDArray[np.int64]]:
         count = min(_CANDIDATES, len(self._faces))
         _, near = self._tree.query(points, k=count)
         faces = self._faces[near.reshape(len(points), count)]
@@ -103,6 +111,7 @@ class SurfaceIndex:
             self.mesh.face_normals[best.faces],
             best.distance,
             np.any(on_edge & (self._neighbours[best.faces] < 0), axis=1),
+            self._sample_of[near.reshape(len(points), count)[:, 0]],
         )
 
     def _best(self, points: Array, faces: NDArray[np.int64]) -> "_Found":

@@ -1,21 +1,25 @@
 """What a merged cloud says about a part: alignment, deviation along the normal, area measured."""
 
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from skinplan.errors import AlignmentError
 from skinplan.inspection.align import checked_points
-from skinplan.inspection.closest import SurfaceIndex
+from skinplan.inspection.closest import Closest, SurfaceIndex
 from skinplan.inspection.coverage import RADIUS_M, CoverageSoFar
 from skinplan.inspection.model import Inspection
 from skinplan.inspection.registration import RegistrationSettings, register
+from skinplan.inspection.surface import SurfaceFigures
 from skinplan.mesh.model import Segmentation, SurfaceMesh
 from skinplan.scanner.model import SurfaceSamples
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import Array, apply, inverse, rotate
 
-_BATCH = 200_000
+_BATCH, _WORKERS = 100_000, 2
 
 
 @dataclass(frozen=True)
@@ -80,10 +84,16 @@ def inspect(
     alignment = register(cloud, index, T_tracker_workpiece, settings.registration)
     T_workpiece_tracker = inverse(alignment.T_tracker_workpiece)
     deviation = np.empty(len(cloud))
-    for begin in range(0, len(cloud), _BATCH):
-        part = slice(begin, begin + _BATCH)
+    figures = SurfaceFigures(samples, segmentation.face_region[samples.faces])
+
+    def compared(part: slice) -> tuple[slice, Array, Closest]:
         local = apply(T_workpiece_tracker, cloud[part])
-        deviation[part] = deviations(local, index, settings.deviation_max_m)
+        return part, local, index.closest(local)
+
+    parts = [slice(begin, begin + _BATCH) for begin in range(0, len(cloud), _BATCH)]
+    for part, local, found in _two_at_once(compared, parts):
+        deviation[part] = _signed(local, found, settings.deviation_max_m)
+        figures.add(found.samples, deviation[part])
         coverage.add(
             local, None if directions is None else rotate(T_workpiece_tracker, directions[part])
         )
@@ -100,6 +110,7 @@ def inspect(
         deviation_rms_m=float(np.sqrt(np.mean(on_part**2))),
         area_ratio=coverage.area_ratio,
         feature_area_ratio=coverage.feature_area_ratio,
+        surface=figures,
     )
 
 
@@ -114,6 +125,23 @@ def deviations(points: Array, index: SurfaceIndex, deviation_max_m: float = 0.02
     Returns:
         shape (n,) [m]; NaN = on no surface: too far, or beyond the open border.
     """
-    found = index.closest(points)
+    return _signed(points, index.closest(points), deviation_max_m)
+
+
+def _signed(points: Array, found: Closest, deviation_max_m: float) -> Array:
     signed = found.signed(points)
     return np.where(found.on_border | (found.distance > deviation_max_m), np.nan, signed)
+
+
+def _two_at_once(
+    work: Callable[[slice], tuple[slice, Array, Closest]], parts: Sequence[slice]
+) -> Iterator[tuple[slice, Array, Closest]]:
+    """Does the work of two parts at a time and yields the results in order; memory is bounded."""
+    with ThreadPoolExecutor(_WORKERS) as pool:
+        waiting: deque[Future[tuple[slice, Array, Closest]]] = deque()
+        for part in parts:
+            waiting.append(pool.submit(work, part))
+            if len(waiting) > _WORKERS:
+                yield waiting.popleft().result()
+        while waiting:
+            yield waiting.popleft().result()

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from skinplan.inspection.surface import SurfaceFigures
 from skinplan.transforms import Array
 
 
@@ -88,6 +89,7 @@ class Inspection:
         deviation_rms_m: Root mean square of it [m].
         area_ratio: Share of the part's area measured.
         feature_area_ratio: Same, complex regions only; NaN without any.
+        surface: Deviations of each small piece of the surface; None = not known.
     """
 
     alignment: Alignment
@@ -96,3 +98,4 @@ class Inspection:
     deviation_rms_m: float
     area_ratio: float
     feature_area_ratio: float
+    surface: SurfaceFigures | None = None

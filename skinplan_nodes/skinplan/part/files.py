@@ -30,6 +30,9 @@ Units are in the keys; unknown keys are refused.
     scan:                            # every key of skinplan.part.model.ScanSettings; what is left
         out has its default
       standoff_m: 0.3
+    inspection:                      # tolerances and characteristics, see
+        skinplan.part.inspection_plan; left out: measured, but not judged
+      deviation_max_m: 0.0005
 """
 
 import re
@@ -45,6 +48,7 @@ from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.fields import Fields, pose_fields
 from skinplan.part.fixture_file import read_fixture, read_yaml
+from skinplan.part.inspection_plan import InspectionPlan, plan_fields, read_plan
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Part, ScanSettings
 from skinplan.part.points_file import read_points, write_points
@@ -52,7 +56,7 @@ from skinplan.part.settings import read_settings, settings_fields
 from skinplan.transforms import Array
 
 PART_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-PART_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan")
+PART_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan", "inspection")
 
 
 def load_part(path: Path | str) -> Part:
@@ -99,6 +103,9 @@ def load_part(path: Path | str) -> Part:
         else ScanSettings(),
         source=file.resolve(),
         points=points,
+        inspection=read_plan(fields.values["inspection"], file.name)
+        if fields.has("inspection")
+        else InspectionPlan(),
     )
 
 
@@ -140,6 +147,11 @@ def save_part(part: Part, path: Path | str) -> Path:
         },
         "placement": pose_fields(part.T_map_workpiece),
         "scan": settings_fields(part.scan),
+        **(
+            {}
+            if part.inspection == InspectionPlan()
+            else {"inspection": plan_fields(part.inspection)}
+        ),
     }
     try:
         if part.points is not None:

@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from skinplan.part.inspection_plan import InspectionPlan
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.transforms import Array
 
@@ -124,6 +125,7 @@ class Part:
         scan: Scan settings.
         source: The part file that it came from; None when it was made from a bare mesh.
         points: Points that someone wants measured; None = nobody says which.
+        inspection: What it is judged by.
     """
 
     id: str
@@ -135,3 +137,4 @@ class Part:
     scan: ScanSettings = field(default_factory=ScanSettings)
     source: Path | None = None
     points: InspectionPoints | None = None
+    inspection: InspectionPlan = field(default_factory=InspectionPlan)
