@@ -11,7 +11,6 @@ import numpy as np
 from markupsafe import Markup, escape
 
 from skinplan.errors import SkinplanError
-from skinplan.inspection.cloud import Cloud
 from skinplan.inspection.raster import View, diverging, png_uri, value_image
 from skinplan.inspection.run_files import RunFiles, items, number, section
 from skinplan.transforms import Array, apply, transform
@@ -65,20 +64,44 @@ def path_targets(files: RunFiles) -> Array:
     )
 
 
-def deviation_figure(cloud: Cloud, view: View) -> Markup | None:
-    """Returns the part coloured by deviation with its colour bar; None = the cloud has none."""
-    deviation = cloud.values.get("deviation")
-    if deviation is None or not np.isfinite(deviation).any():
+def deviation_figure(files: RunFiles, view: View) -> Markup | None:
+    """Returns the part coloured by deviation with its colour bar; None = none is known.
+
+    Local deviations where they are recorded, else those of the points; the worst place is ringed.
+    """
+    source, local = files.cloud, False
+    if files.coverage is not None and "deviation" in files.coverage.values:
+        source, local = files.coverage, True
+    deviation = None if source is None else source.values.get("deviation")
+    if source is None or deviation is None or not np.isfinite(deviation).any():
         return None
     known = np.isfinite(deviation)
     limit = deviation_limit(deviation[known])
-    mean, shown = value_image(cloud.points[known], deviation[known], view)
+    if local:
+        limit = nice_limit(max(float(np.abs(deviation[known]).max()), 2e-5))
+    mean, shown = value_image(source.points[known], deviation[known], view)
     return _picture(
         view,
         png_uri(diverging(mean, limit), shown),
-        "",
+        _worst_ring(files, view) if local else "",
         _colour_bar(limit),
         "Deviation along the normal",
+    )
+
+
+def _worst_ring(files: RunFiles, view: View) -> str:
+    at = section(section(files.summary, "inspection"), "whole").get("worst_at")
+    if not isinstance(at, list) or len(at) != 3 or not all(math.isfinite(number(v)) for v in at):
+        return ""
+    scale = _WIDTH / view.width
+    x, y = (at[0] - view.left) * scale, (view.bottom + view.height - at[1]) * scale
+    side = "end" if x > _WIDTH / 2 else "start"
+    beside = -30.0 if side == "end" else 30.0
+    return (
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="24" class="ring-back"/>'
+        f'<circle cx="{x:.1f}" cy="{y:.1f}" r="24" class="worst"/>'
+        f'<text class="label worst-label" x="{x + beside:.1f}" y="{y:.1f}" dy="0.35em" '
+        f'text-anchor="{side}">worst</text>'
     )
 
 

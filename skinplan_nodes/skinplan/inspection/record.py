@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import asdict
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -48,6 +49,7 @@ def inspection_document(
     area = float(sum(each.area_m2 for each in missing))
     return {
         "version": VERSION,
+        "made_at": datetime.now(UTC).strftime("%Y-%m-%dT%H:%M:%SZ"),
         "frame": "workpiece",
         "verdict": verdict_document(regions[0], plan, results),
         "tolerance": {

@@ -14,6 +14,7 @@ import jinja2
 import numpy as np
 
 from skinplan.errors import InputError
+from skinplan.inspection.complete import complete_run
 from skinplan.inspection.figures import (
     coverage_figure,
     deviation_figure,
@@ -21,13 +22,31 @@ from skinplan.inspection.figures import (
     front_view,
     histogram_figure,
 )
+from skinplan.inspection.report_head import (
+    alignment_facts,
+    calibration,
+    characteristic_rows,
+    first_tiles,
+    missing_rows,
+    region_rows,
+)
 from skinplan.inspection.run_files import RunFiles, items, number, read_run, section
 from skinplan.inspection.verdict import verdict
 from skinplan.inspection.wording import count, degrees, millimetres, percent, plain, seconds
 
 _MOST_ROWS = 500
 _STAGES = ("mesh", "scan_path", "coverage", "stations", "trajectory")
-_SHOWN_APART = {"job", "measured", "localization", "planning_s", "trajectory", "bag"}
+_SHOWN_APART = {
+    "job",
+    "measured",
+    "localization",
+    "planning_s",
+    "trajectory",
+    "bag",
+    "inspection",
+    "calibration",
+    "files",
+}
 
 
 def write_report(run_folder: Path | str) -> Path:
@@ -49,6 +68,7 @@ def write_report(run_folder: Path | str) -> Path:
         raise InputError(
             f"a report of {folder} was asked for; the folder of a run is accepted, there is none"
         )
+    complete_run(folder)
     text = render(read_run(folder))
     path = folder / "report.html"
     temporary = folder / f".report.html.{os.getpid()}"
@@ -82,10 +102,16 @@ def _context(files: RunFiles) -> dict[str, Any]:
         "name": str(job.get("id") or files.folder.name),
         "verdict": verdict(files),
         "remarks": files.remarks,
+        "facts_first": _facts_first(job, files),
+        "first_tiles": first_tiles(files) if "inspection" in files.summary else [],
+        "calibration": calibration(files),
+        "has_job": bool(job),
+        "regions": region_rows(files),
+        "characteristics": characteristic_rows(files),
+        "missing": missing_rows(files),
+        "alignment": alignment_facts(files),
         "tiles": _tiles(files, deviation),
-        "deviation": deviation_figure(files.cloud, view)
-        if files.cloud is not None and view
-        else None,
+        "deviation": deviation_figure(files, view) if view else None,
         "histogram": histogram_figure(deviation) if deviation is not None else None,
         "coverage": coverage_figure(files, view) if view else None,
         "has_samples": files.coverage is not None,
@@ -99,13 +125,47 @@ def _context(files: RunFiles) -> dict[str, Any]:
         "job": _facts(job),
         "facts": _other_facts(files.summary),
         "bag": _bag(files),
+        "hashes": _hashes(files),
         "raw": json.dumps(files.summary, indent=1, ensure_ascii=False) if files.summary else "",
         "links": [
             n
-            for n in ("summary.json", "cloud.ply", "plan", "bag", "log")
+            for n in (
+                "summary.json",
+                "results.qif",
+                "deviation.csv",
+                "cloud.ply",
+                "cloud.laz",
+                "plan",
+                "bag",
+                "log",
+            )
             if (files.folder / n).exists()
         ],
     }
+
+
+def _facts_first(job: dict[str, Any], files: RunFiles) -> list[tuple[str, str]]:
+    """Whose measurement it is."""
+    found = section(files.summary, "inspection")
+    named = (
+        ("part", job.get("part")),
+        ("serial number", job.get("serial_number")),
+        ("order", job.get("order_id")),
+        ("operator", job.get("operator_name")),
+        ("inspected", str(found.get("made_at") or "").replace("T", " ").replace("Z", " UTC")),
+    )
+    return [(key, str(value)) for key, value in named if value]
+
+
+def _hashes(files: RunFiles) -> list[tuple[str, str, str]]:
+    """Name, size and hash of the result files."""
+    listed = section(files.summary, "files")
+    rows = ((name, section(listed, name)) for name in listed)
+    return [
+        (name, f"{number(facts.get('bytes')) / 1e6:,.2f} MB", str(facts.get("sha256")))
+        for name, facts in rows
+        if facts
+    ]
 
 
 def _tiles(files: RunFiles, deviation: Any) -> list[tuple[str, str, str]]:

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from skinplan.inspection.run_files import RunFiles, number, section
 
@@ -14,7 +15,7 @@ class Verdict:
     """How a run went.
 
     Attributes:
-        level: ``good``, ``warn`` or ``bad``.
+        level: ``good``, ``plain`` (nobody asked for a judgement), ``warn`` or ``bad``.
         title: A few words.
         text: One or two sentences.
     """
@@ -59,13 +60,29 @@ def verdict(files: RunFiles) -> Verdict:
     text = _sentence(
         ratio, number(measured.get("feature_area_ratio")), number(measured.get("deviation_rms_m"))
     )
+    judged = section(section(files.summary, "inspection"), "verdict")
+    if judged.get("state") in ("pass", "fail"):
+        return _judged(judged, text)
     if ratio < AREA_RATIO_MIN:
         return Verdict(
             "warn",
             "Measured in part",
             f"{text} At least {100 * AREA_RATIO_MIN:.0f} % are expected.",
         )
+    if judged.get("state") == "not_judged":
+        return Verdict(
+            "plain", "Measured, not judged", f"{text} The part file states no tolerance."
+        )
     return Verdict("good", "Measured", text)
+
+
+def _judged(judged: dict[str, Any], text: str) -> Verdict:
+    """How it stands against the tolerances of the part file."""
+    if judged["state"] == "pass":
+        return Verdict("good", "Within tolerance", text)
+    reasons = judged.get("reasons")
+    said = " ".join(str(reason) for reason in reasons) if isinstance(reasons, list) else ""
+    return Verdict("bad", "Not within tolerance", said or text)
 
 
 def _sentence(ratio: float, feature_ratio: float, rms_m: float) -> str:

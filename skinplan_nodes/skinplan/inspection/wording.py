@@ -58,3 +58,13 @@ def count(value: Any) -> str:
     """Returns a whole number with separators."""
     found = number(value)
     return f"{found:,.0f}" if math.isfinite(found) else _NOTHING
+
+
+def place(value: Any) -> str:
+    """Returns a place or an extent [m] in millimetres."""
+    if not isinstance(value, list | tuple) or len(value) != 3:
+        return _NOTHING
+    numbers = [number(each) * 1e3 for each in value]
+    if not all(math.isfinite(each) for each in numbers):
+        return _NOTHING
+    return ", ".join(f"{each:.0f}" for each in numbers) + " mm"
