@@ -34,6 +34,13 @@ def nice_limit(value: float) -> float:
     )
 
 
+def _tight_limit(value: float) -> float:
+    """Returns a round number little above a value, so that the worst place has a strong colour."""
+    power = 10.0 ** math.floor(math.log10(value))
+    steps = (1.0, 1.2, 1.6, 2.0, 2.4, 3.0, 4.0, 5.0, 6.0, 8.0, 10.0)
+    return next(step * power for step in steps if step * power >= value * (1 - 1e-9))
+
+
 def deviation_limit(deviation: Array) -> float:
     """Returns the end of the colour scale [m]: 99 % of the points lie inside it."""
     return nice_limit(max(float(np.percentile(np.abs(deviation), 99.0)), 2e-5))
@@ -78,7 +85,7 @@ def deviation_figure(files: RunFiles, view: View) -> Markup | None:
     known = np.isfinite(deviation)
     limit = deviation_limit(deviation[known])
     if local:
-        limit = nice_limit(max(float(np.abs(deviation[known]).max()), 2e-5))
+        limit = _tight_limit(max(float(np.abs(deviation[known]).max()), 2e-5))
     mean, shown = value_image(source.points[known], deviation[known], view)
     return _picture(
         view,

@@ -160,13 +160,22 @@ def _algebraic_sphere(points: Array) -> Array:
 def _robust(
     linearised: Callable[[Array], tuple[Array, Array]], start: Array, least_sigma: float
 ) -> tuple[Array, Array]:
-    """Gauss-Newton with Tukey's weights; returns solution and weights."""
+    """Gauss-Newton with Tukey's weights; returns solution and weights.
+
+    Raises:
+        InputError: The points do not determine what is looked for.
+    """
     x = start
     for _ in range(_ITERATIONS):
         residuals, jacobian = linearised(x)
         weights = _weights(residuals, least_sigma)
         matrix = (weights[:, None] * jacobian).T @ jacobian
-        step = np.linalg.solve(matrix, -(weights[:, None] * jacobian).T @ residuals)
+        try:
+            step = np.linalg.solve(matrix, -(weights[:, None] * jacobian).T @ residuals)
+        except np.linalg.LinAlgError as error:
+            raise InputError(
+                f"a sphere through {len(residuals)} points: too few of them lie on one"
+            ) from error
         x = x + step
         if np.abs(step).max() < _DONE:
             break

@@ -67,4 +67,4 @@ def place(value: Any) -> str:
     numbers = [number(each) * 1e3 for each in value]
     if not all(math.isfinite(each) for each in numbers):
         return _NOTHING
-    return ", ".join(f"{each:.0f}" for each in numbers) + " mm"
+    return ", ".join(f"{round(each)}" for each in numbers) + " mm"
