@@ -82,6 +82,12 @@ class GraphRun:
         self._reader.join(timeout_s)
         return code
 
+    def end(self) -> None:
+        """Ends a served graph in order: what is killed may leave DDS's shared memory locked."""
+        self.process.send_signal(signal.SIGINT)
+        self.wait()
+        self.wait_gone()
+
     def wait_gone(self, timeout_s: float = 10.0) -> None:
         """Waits until none of the run's processes is left."""
         deadline = time.monotonic() + timeout_s

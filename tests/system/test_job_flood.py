@@ -69,6 +69,7 @@ def test_ten_thousand_calls_beside_jobs(tmp_path: Path, client: MesClient) -> No
         # Plans and reports of the first job are in memory after it.
         later = memory[len(memory) // 2 :]
         assert max(later) - later[0] < _GROWTH_MIB
+        run.end()
     finally:
         if floods is not None:
             floods.close()

@@ -39,6 +39,7 @@ def test_twenty_orders_with_all_that_happens_to_orders(tmp_path: Path, client: M
 
         fetched = work_through(client, orders, EVENTS, kill, 600.0)
         check(fetched, EVENTS)
+        run.end()
     finally:
         run.close()
     store = JobStore(tmp_path / "runs" / "jobs.sqlite", copy=True)
