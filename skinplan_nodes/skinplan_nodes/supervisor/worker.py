@@ -1,5 +1,6 @@
 """Works one job off: makes its folder, runs its mission, and always leaves a summary."""
 
+import json
 import logging
 import time
 from collections.abc import Callable
@@ -261,7 +262,9 @@ class JobWorker:
         # Who interrupts a job does not want to wait for a report.
         if self.settings.with_report and not isinstance(failure, AbortError):
             self._report(folder)
-        return summary
+        # The report adds to it: the job store keeps what stands on disk.
+        document: dict[str, Any] = json.loads(folder.summary.read_text(encoding="utf-8"))
+        return document
 
     def _report(self, folder: RunFolder) -> None:
         """Writes the report; the measurement is good also without."""
