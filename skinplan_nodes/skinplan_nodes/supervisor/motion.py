@@ -60,6 +60,15 @@ class Motion:
         except SkinplanError:
             return None
 
+    def joints_since(self, stamp_s: float) -> Array | None:
+        """Returns where the arm stands at a time or later, shape (6,) [rad]; None = not known.
+
+        Args:
+            stamp_s: Time [s]; waited for as long as a device may be silent.
+        """
+        _await(lambda: self._joints, JointState, stamp_s)
+        return self.joints()
+
     def base_since(self, stamp_s: float) -> Array | None:
         """Returns the base's pose at a time or later, shape (4, 4) [m]; None = not known.
 
@@ -68,12 +77,7 @@ class Motion:
         Args:
             stamp_s: Time [s]; waited for as long as a device may be silent.
         """
-        end = time.monotonic() + _SILENT_S
-        while time.monotonic() < end and self._odometry is not None:
-            header = deserialize_message(self._odometry, Odometry).header
-            if stamp_from_msg(header.stamp) >= stamp_s:
-                break
-            time.sleep(0.01)
+        _await(lambda: self._odometry, Odometry, stamp_s)
         return self.base()
 
     def moving(self, timeout_s: float) -> str:
@@ -140,6 +144,14 @@ def distance_m(first: Array | None, second: Array | None) -> float:
     if first is None or second is None:
         return math.nan
     return float(difference(first, second)[0])
+
+
+def _await(newest: Callable[[], bytes | None], kind: Any, stamp_s: float) -> None:
+    end = time.monotonic() + _SILENT_S
+    while time.monotonic() < end and (raw := newest()) is not None:
+        if stamp_from_msg(deserialize_message(raw, kind).header.stamp) >= stamp_s:
+            return
+        time.sleep(0.01)
 
 
 def _between(before: Any, later: Any) -> float:

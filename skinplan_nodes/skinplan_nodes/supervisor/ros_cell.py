@@ -230,7 +230,7 @@ class RosCell:
 
     def base_moved_m(self) -> float:
         """Returns how far the base is from where it located the part; NaN = not known [m]."""
-        return distance_m(self._T_odom_located, self._motion.base())
+        return distance_m(self._T_odom_located, self._motion.base_since(self.now_s()))
 
     def plan_path(self, job: Job, seen: Path | None = None) -> tuple[PlannedPath, dict[str, float]]:
         """Plans the scan path, or only what a cloud leaves out."""
@@ -289,7 +289,7 @@ class RosCell:
 
     def arm_joints(self) -> Array | None:
         """Returns where the arm stands, shape (6,) [rad]; None = not known."""
-        return self._motion.joints()
+        return self._motion.joints_since(self.now_s())
 
     def execute(self, segment: Segment) -> None:
         """Moves the arm along a segment."""
