@@ -14,10 +14,12 @@ from skinplan.inspection.closest import edge_neighbours
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.transforms import Array
 
-# Distance between the points that stand for the border, and length of the stretches of border of
-# which each has one outermost point [m].
+# Distance between the points that stand for the border [m].
 _STEP_M = 0.001
-_STRETCH_M = 0.02
+# The outermost point of a stretch of border should lie about so far inside [m]; stretches are no
+# shorter and no longer than this [m], and there are so many at least.
+_INSET_M = 5e-5
+_SHORTEST_M, _LONGEST_M, _FEWEST = 0.01, 0.05, 40
 # Neighbours that tell whether a point lies at the end of the cloud, and the angle without any of
 # them that says so.
 _NEIGHBOURS = 24
@@ -79,16 +81,11 @@ class Border:
     def _tree(self) -> cKDTree:
         return cKDTree(self.points)
 
-    @cached_property
-    def _stretch(self) -> NDArray[np.int64]:
-        cells = np.floor(self.points / _STRETCH_M).astype(np.int64)
-        _, stretch = np.unique(cells, axis=0, return_inverse=True)
-        return stretch.reshape(-1)
-
-    @property
-    def stretch_m(self) -> float:
-        """Mean length of the stretches of which each has one outermost point [m]."""
-        return self.length_m / max(int(self._stretch.max()) + 1, 1)
+    def stretch_m(self, density_per_m2: float) -> float:
+        """Returns how long stretches of border should be for a cloud of that density [m]."""
+        most = min(_LONGEST_M, self.length_m / _FEWEST)
+        wanted = 1.0 / max(density_per_m2 * _INSET_M, 1e-12)
+        return max(_SHORTEST_M, min(wanted, most))
 
     def rows(self, points: Array, reach_m: float) -> BorderRows:
         """Lays points at the end of a cloud on the border.
@@ -115,20 +112,23 @@ class Border:
             found[begin + inside] = np.isfinite(distance)
         return found
 
-    def outermost(self, points: Array, reach_m: float) -> BorderRows:
+    def outermost(self, points: Array, reach_m: float, stretch_m: float) -> BorderRows:
         """Returns the outermost point of each stretch of the border.
 
         Args:
             points: Points near the border, workpiece frame, shape (n, 3) [m].
             reach_m: Largest distance from the border [m].
+            stretch_m: About the length of a stretch [m].
         """
+        cells = np.floor(self.points / stretch_m).astype(np.int64)
+        stretch = np.unique(cells, axis=0, return_inverse=True)[1].reshape(-1)
         distance, near = self._tree.query(points, distance_upper_bound=reach_m)
         found = np.flatnonzero(np.isfinite(distance))
         near = near[found]
         away = points[found] - self.points[near]
         beyond = np.einsum("ij,ij->i", away, self.outward[near])
-        order = np.lexsort((-beyond, self._stretch[near]))
-        _, first = np.unique(self._stretch[near][order], return_index=True)
+        order = np.lexsort((-beyond, stretch[near]))
+        _, first = np.unique(stretch[near][order], return_index=True)
         chosen = order[first]
         return BorderRows(
             points[found[chosen]],

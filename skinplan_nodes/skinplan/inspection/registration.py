@@ -59,7 +59,7 @@ class RegistrationSettings:
 # deviation to sigma.
 _TUKEY = 4.685
 _SIGMA_OF_MAD = 1.4826
-_FEWEST, _FEWEST_ENDS = 30, 8
+_FEWEST, _FEWEST_ENDS = 30, 5
 # Each scale is so much smaller than the one before; the last ones in smaller steps, where it is
 # decided what is dent and what is surface [m].
 _SCALES = ((0.06, 0.02, 0.007, 0.002), (0.001, 5e-4, 2.5e-4, 1.2e-4))
@@ -123,6 +123,7 @@ class _Registration:
         self._border = Border(index.mesh)
         self._ends = self._points[cloud_ends(self._points)]
         self._strip: Array | None = None
+        self._stretch_m = 0.0
         self._centre = np.median(self._points, axis=0)
         self._size = float(
             np.sqrt(np.mean(np.sum((self._points - self._points.mean(axis=0)) ** 2, axis=1)))
@@ -213,7 +214,11 @@ class _Registration:
     ) -> Rows | None:
         moved = apply(self._T, ends)
         reach = max(scale, _STRIP_M)
-        found = self._border.rows(moved, reach) if first else self._border.outermost(moved, reach)
+        found = (
+            self._border.rows(moved, reach)
+            if first
+            else self._border.outermost(moved, reach, self._stretch_m)
+        )
         if len(found.points) < _FEWEST_ENDS:
             return None
         residual = found.beyond + self._inset
@@ -271,7 +276,8 @@ class _Registration:
             self._strip = np.concatenate(pieces)
             # The outermost of the points of a stretch lies, on average, one of them's share inside.
             density = len(self._strip) / max(self._border.length_m * _STRIP_M, 1e-12)
-            self._inset = self._inset_first = 1.0 / max(density * self._border.stretch_m, 1.0)
+            self._stretch_m = self._border.stretch_m(density)
+            self._inset = self._inset_first = 1.0 / max(density * self._stretch_m, 1.0)
         return self._strip
 
     def _result(
