@@ -83,7 +83,7 @@ def test_what_the_part_file_asks_is_judged(dent):
         Characteristic("dent", "profile", 1.2e-3, **ball),
         Characteristic("gap", "profile", 1e-3, centre_m=(-0.18, -0.12, 0.0), radius_m=0.03),
         Characteristic("flat", "flatness", 1e-4, centre_m=(0.2, -0.15, 0.0), radius_m=0.04),
-        Characteristic("points", "points", 1e-3),
+        Characteristic("points", "points", 1.2e-3),
     )
     targets = np.array([[0.15, 0.1, 0.0], [0.2, -0.15, 0.0], [-0.18, -0.12, 0.0]])
     points = InspectionPoints(targets, np.tile([0.0, 0.0, 1.0], (3, 1)), np.ones(3, np.int64))
@@ -113,3 +113,17 @@ def test_the_diameter_of_a_ball_and_its_form():
     (found,) = evaluate((asked,), figures)
     assert found.value_m == pytest.approx(2 * (true_radius + 1e-4), abs=1e-6)
     assert found.state == FAIL and found.form_error_m < 1e-5
+
+
+def test_a_thin_cloud_has_local_deviations_all_over_but_not_where_nothing_is():
+    mesh = grid(0.3, 0.2, 0.01)
+    points = measured(mesh, 10_000, 0.0)  # four points for each piece
+    points = points[points[:, 0] < 0.1]
+    flat = Segmentation(np.zeros(len(mesh.faces), np.int64), mesh)
+    coverage = coverage_so_far(sample_surface(mesh), flat)
+    found = inspect(points, mesh, flat, np.eye(4), InspectionSettings(), None, coverage)
+    known = np.isfinite(found.surface.local)
+    x = coverage.samples.points[:, 0]
+    assert (found.surface.count[x < 0.09] < 3).mean() > 0.1
+    assert known[x < 0.09].mean() > 0.995
+    assert not known[x > 0.112].any()

@@ -18,6 +18,8 @@ from skinplan.transforms import Array
 
 # Fewer points make no local deviation.
 FEWEST_POINTS = 3
+# Pieces beside one, itself included, and how many spacings away they may be.
+_BESIDE, _NEIGHBOURS = 7, 1.6
 # Missing pieces so many times their spacing apart are one area.
 _TOGETHER = 2.0
 
@@ -112,9 +114,20 @@ class SurfaceFigures:
 
     @property
     def local(self) -> Array:
-        """Local deviations, shape (s,) [m]; NaN with too few points."""
-        mean = self._sum / np.maximum(self.count, 1)
-        return np.where(self.count >= FEWEST_POINTS, mean, np.nan)
+        """Local deviations, shape (s,) [m]; NaN with too few points.
+
+        A piece with too few points of its own takes those of the pieces beside it, too.
+        """
+        count, total = self.count.copy(), self._sum.copy()
+        few = np.flatnonzero(count < FEWEST_POINTS)
+        if len(few) and len(count) >= _BESIDE:
+            reach = _NEIGHBOURS * float(np.sqrt(self.samples.weights.max()))
+            _, near = cKDTree(self.samples.points).query(
+                self.samples.points[few], k=_BESIDE, distance_upper_bound=reach
+            )
+            padded = np.append(self.count, 0), np.append(self._sum, 0.0)
+            count[few], total[few] = (values[near].sum(axis=1) for values in padded)
+        return np.where(count >= FEWEST_POINTS, total / np.maximum(count, 1), np.nan)
 
     @property
     def sigma(self) -> Array:
