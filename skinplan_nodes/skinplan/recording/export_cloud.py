@@ -112,6 +112,6 @@ def _require_laspy() -> Any:
         import lazrs  # noqa: F401
     except ImportError as error:
         raise InputError(
-            "LAZ was asked for; it needs the packages laspy and lazrs, which `make extras` installs"
+            "LAZ was asked for; it needs the packages laspy and lazrs, which `make setup` installs"
         ) from error
     return laspy
