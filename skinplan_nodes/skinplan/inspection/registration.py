@@ -67,6 +67,9 @@ _SCALES = ((0.06, 0.02, 0.007, 0.002), (0.001, 5e-4, 2.5e-4, 1.2e-4))
 _FEW = 4000
 # Converged: the last step is smaller than this share of the scale, or than this [m].
 _SHARE, _STEP_M = 0.01, 1e-6
+# Which point is the outermost changes with every step: smaller ones than this share of how far they
+# lie inside mean nothing.
+_SHARE_OF_INSET = 0.05
 # Near the border this much of the cloud is looked at in full [m].
 _STRIP_M = 0.006
 # A gap inside the border may be mere lack of points: it pulls less than points outside [1].
@@ -164,8 +167,10 @@ class _Registration:
             solution = self._solved(rows)
             self._move(solution)
             self._iterations += 1
-            done = float(np.linalg.norm(solution.step)) < max(_STEP_M, _SHARE * scale)
-            if done:
+            least = max(
+                _STEP_M, _SHARE * scale, _SHARE_OF_INSET * self._inset_first * (len(rows) > 1)
+            )
+            if float(np.linalg.norm(solution.step)) < least:
                 return True, solution, rows
         return False, solution, rows
 
