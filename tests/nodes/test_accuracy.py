@@ -1,7 +1,5 @@
 """Table 2 of the paper: diameter and distance of two spheres, whatever base and arm do."""
 
-from collections.abc import Iterator
-
 import numpy as np
 import pytest
 
@@ -15,14 +13,6 @@ RUNS = 6
 @pytest.fixture(scope="module")
 def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
     return write_ball_bar(tmp_path_factory.mktemp("ball_bar"))
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def runs(bench: Bench, part: Part, errors: Errors, count: int = RUNS) -> list[Measured]:

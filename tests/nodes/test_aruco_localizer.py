@@ -2,7 +2,6 @@
 
 import hashlib
 import threading
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -56,14 +55,6 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
     written = write_sample("scene2", tmp_path_factory.mktemp("part"))
     assert written.source is not None
     return load_part(written.source)
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def start_cell(bench: Bench, part: Part, **parameters: Any) -> None:

@@ -1,7 +1,6 @@
 """The player: latched state after every seek, steps, bursts, ends, the clock, choice of topics."""
 
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,14 +27,6 @@ from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
 
 LATCHED_QOS = QosProfile(depth=1, durability="transient_local")
 BEGIN_NS = 5_000_000_000
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def transforms(*children: str, x: float = 0.0) -> bytes:

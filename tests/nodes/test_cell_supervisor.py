@@ -1,7 +1,7 @@
 """Job services and the watch of the supervisor, without the rest of the cell."""
 
 import json
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +50,6 @@ class Desk:
 
     def until(self, state: int) -> JobStatus:
         return self.bench.wait(lambda: next((s for s in self.states if s.state == state), None))
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 @pytest.fixture

@@ -1,11 +1,9 @@
 """What RViz and Foxglove show: markers of plan and part, description and frames of the robot."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import pytest
 from rclpy.qos import QoSProfile
 from sensor_msgs.msg import JointState
 from skinplan_msgs import msg as messages
@@ -25,14 +23,6 @@ from skinplan_nodes.cell_markers import frustum_markers, station_markers
 from skinplan_nodes.cell_view import CellView
 from skinplan_nodes.conversions import PathFacts, scan_path_to_msg, transform_stamped_from_msg
 from skinplan_nodes.qos import LATCHED, STATE
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def all_of(array: MarkerArray, kind: int) -> list[Marker]:

@@ -5,7 +5,6 @@ The nodes are real ones, and so are the messages; only time is turned by hand.
 
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -39,14 +38,6 @@ FAR = planar(9.0, -1.0, 0.0)
 _Arm = FollowJointTrajectory.Result
 # Longest braking: highest speed over deceleration, and two turns of the clock [s].
 ARM_STANDS_S, BASE_STANDS_S = 0.2 / 5.0 + 0.2, 1.0 / 1.5 + 0.2
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 @pytest.fixture(scope="module")

@@ -1,7 +1,5 @@
 """A burst of messages is taken in order, none twice, and nothing else has to wait for its end."""
 
-from collections.abc import Iterator
-
 import pytest
 from rclpy.serialization import deserialize_message
 from std_msgs.msg import UInt32
@@ -9,14 +7,6 @@ from std_msgs.msg import UInt32
 from nodes.bench import Bench
 from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.qos import STATE
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 @pytest.mark.parametrize("raw", [False, True])

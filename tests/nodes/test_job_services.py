@@ -3,7 +3,7 @@
 import json
 import re
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
@@ -32,14 +32,6 @@ ROOT = Path(__file__).resolve().parents[2]
 @pytest.fixture(scope="module")
 def part_uri(tmp_path_factory: pytest.TempPathFactory) -> str:
     return str(write_sample("scene2", tmp_path_factory.mktemp("part")).source)
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 @pytest.fixture

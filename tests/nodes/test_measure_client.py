@@ -5,11 +5,9 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-import pytest
 from skinplan_msgs.msg import JobStatus, Status
 from skinplan_msgs.srv import JobSubmit
 
@@ -34,14 +32,6 @@ class SlowDesk:
             self._states.publish(JobStatus(job_id=request.job.job_id, state=JobStatus.ENDED))
         response.status = Status(code=Status.OK)
         return response
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def test_an_order_without_answer_is_sent_again(bench: Bench, tmp_path: Path) -> None:

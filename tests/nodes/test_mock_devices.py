@@ -1,6 +1,5 @@
 """The mock devices behind the interfaces of the real ones: happy paths and their illegal twins."""
 
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -52,14 +51,6 @@ from skinplan_nodes.qos import LATCHED, SENSOR, STATE, STATIC_TF
 from skinplan_nodes.sim_clock import SimClock, SimTime
 
 HOME = np.array(CellConfig().home_rad)
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 @pytest.fixture(scope="module")

@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -30,14 +29,6 @@ from skinplan_nodes.bag_player import BagPlayer
 from skinplan_nodes.message_types import definition_text, message_class
 from skinplan_nodes.qos import LATCHED, SENSOR, STATE
 from skinplan_nodes.run_recorder import RunRecorder
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def start_recording(bench: Bench, folder: Path | str, **metadata: str) -> Any:

@@ -2,7 +2,6 @@
 
 import hashlib
 from collections import Counter
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,14 +19,6 @@ from nodes.bench import Bench
 from skinplan.recording.reader import open_bag, read_messages
 from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.run_recorder import RunRecorder
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def start(bench: Bench, folder: Path, tmp_path: Path, **asked: Any) -> RunRecorder:

@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -52,14 +51,6 @@ class Moody(CellNode):
     def _on_identify(self, _: Any, response: Any) -> None:
         response.index = 3
         self._react()
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def test_every_error_of_the_library_has_a_code() -> None:

@@ -1,6 +1,5 @@
 """The owner of the cell's time: jumps on demand, waiting for slow nodes, going on after an end."""
 
-from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -18,14 +17,6 @@ from skinplan_nodes.conversions import stamp_from_msg, stamp_to_msg
 from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.sim_clock import SimClock
 from skinplan_nodes.time_ack import TimeAck
-
-
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
 
 
 def start(bench: Bench, **parameters: Any) -> tuple[SimClock, list[Any]]:

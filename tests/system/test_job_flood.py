@@ -1,12 +1,10 @@
 """Ten thousand calls from eight processes while jobs run in the whole mock cell."""
 
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-import rclpy
 import yaml
 
 from flooding import Floods, check_answers, memory_mib
@@ -17,15 +15,6 @@ _PROCESSES, _CALLS = 8, 1250
 _SLOWEST_S = 1.0
 # What the allocator may keep more than before.
 _GROWTH_MIB = 8.0
-
-
-@pytest.fixture
-def client() -> Iterator[MesClient]:
-    rclpy.init(args=[])
-    found = MesClient("Anna", patience_s=120.0)
-    yield found
-    found.node.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.long

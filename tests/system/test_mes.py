@@ -1,25 +1,14 @@
 """The reference MES client against the whole mock cell, whose supervisor is killed meanwhile."""
 
-from collections.abc import Iterator
 from pathlib import Path
 
 import psutil
 import pytest
-import rclpy
 from skinplan_msgs.msg import Status
 
 from mes_orders import EVENTS, MesClient, check, hand_in, orders_of, work_through, write_parts
 from skinplan.jobs.store import JobStore
 from system.graph_run import GraphRun
-
-
-@pytest.fixture
-def client() -> Iterator[MesClient]:
-    rclpy.init(args=[])
-    found = MesClient("Anna", patience_s=120.0)
-    yield found
-    found.node.destroy_node()
-    rclpy.try_shutdown()
 
 
 @pytest.mark.long
