@@ -447,10 +447,15 @@ def test_a_killed_supervisor_waits_where_it_is_told_to(
 ) -> None:
     job, process = killed(resume_at_start=False)
     process.start()
-    job.until(JobStatus.INTERRUPTED, "waiting")
+    waits = job.until(JobStatus.INTERRUPTED, "waiting")
+    assert waits.status.code == Status.NODE_LOST
     job.stands_still()
+    assert job.cell.calls.count("localize") == 2, "nothing is done before RESUME"
     job.command(Ask.RESUME)
-    job.ended()
+    (stood,) = job.ended()["interruptions"]
+    assert stood["code"] == Status.NODE_LOST and stood["resumed_after_s"] >= 0.3
+    assert job.cell.calls.count("localize") == 3, "it is not known where the base is"
+    assert set(job.cell.seen) == set(range(6))
 
 
 @pytest.mark.long

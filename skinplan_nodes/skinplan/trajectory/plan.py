@@ -109,19 +109,14 @@ def plan_station_trajectory(
         path.positions[points], path.directions[points], path.targets[points], T_arm_base_workpiece
     )
     problem = _problem(world, views, settings, cell, start, tell, is_cancelled)
-    sight, T_map_arm = None, None
-    if T_arm_base_map is not None:
-        T_map_arm = inverse(T_arm_base_map)
-        sight = TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker)
     states = find_states(
         world,
         problem.dexterity,
         views,
         settings.tilt_max_rad,
         problem.home,
-        sight,
-        T_map_arm,
-        problem.require_wanted,
+        *_sight(cell, mesh, T_arm_base_workpiece, T_arm_base_map, T_map_tracker),
+        require_wanted=problem.require_wanted,
     )
     if not len(states.view):
         raise NoTrajectoryError(
@@ -136,6 +131,20 @@ def plan_station_trajectory(
     result = _result(made, points, states.reasons, settings, station_id)
     tell(1.0, "done")
     return result
+
+
+def _sight(
+    cell: CellConfig,
+    mesh: SurfaceMesh,
+    T_arm_base_workpiece: Array,
+    T_arm_base_map: Array | None,
+    T_map_tracker: Array | None,
+) -> tuple[TrackerSight | None, Array | None]:
+    """What hides the scanner from the tracker, and the arm's place in the shop (4, 4) [m]."""
+    if T_arm_base_map is None:
+        return None, None
+    T_map_arm = inverse(T_arm_base_map)
+    return TrackerSight(cell, mesh, T_map_arm @ T_arm_base_workpiece, T_map_tracker), T_map_arm
 
 
 def _visit_task(
