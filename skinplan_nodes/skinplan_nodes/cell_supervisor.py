@@ -118,6 +118,7 @@ class CellSupervisor(CellNode):
         self._resuming = ""
         self._clock_s = 0.0
         self._told: JobRecord | None = None
+        self._closed = False
         self._cell = RosCell(self, values, self._watch, self._on_fault)
         book = calibration_book(values)
         self._worker = JobWorker(
@@ -155,9 +156,12 @@ class CellSupervisor(CellNode):
 
     def close(self) -> None:
         """Ends the job on the cell: its devices stop, its folder says why."""
-        self._queue.abort_active(Status.JOB_ABORTED, "the supervisor was ended")
+        self._queue.close(Status.JOB_ABORTED, "the supervisor was ended")
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT_S)
+        with self._queue.lock:
+            # A job that takes longer to come to its end is written down, but told to nobody.
+            self._closed = True
 
     def _take_over(self, runs_folder: Path) -> None:
         """Goes on with the job of the supervisor process before this one, if there is one."""
@@ -217,6 +221,8 @@ class CellSupervisor(CellNode):
         )
 
     def _on_change(self, record: JobRecord) -> None:
+        if self._closed:
+            return
         self._status.publish(job_status_to_msg(record))
         self._waiters.changed(record)
         if record.error and record != self._told:

@@ -116,7 +116,11 @@ class Measurement:
             if self._spin_until(answer.done, _AGAIN_S):
                 break
             self._node.submit.remove_pending_request(answer)
-            if self._asked_to_end or time.monotonic() > deadline:
+            if self._asked_to_end:
+                # It may have been taken all the same.
+                self._abort()
+                return self._why()
+            if time.monotonic() > deadline:
                 return f"no answer of jobs/submit within {_ANSWER_S:g} s"
         self._node.absence.expect(time.monotonic())
         status = answer.result().status
@@ -144,7 +148,10 @@ class Measurement:
 
     def _abort(self) -> None:
         request = JobCommand.Request(
-            job_id=self._job.job_id, command=JobCommand.Request.ABORT, reason=self._why()
+            job_id=self._job.job_id,
+            command=JobCommand.Request.ABORT,
+            operator_name=self._job.operator_name,
+            reason=self._why(),
         )
         self._node.command.call_async(request)
         self._asked_to_end = False
@@ -189,7 +196,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     given = _parser().parse_args(arguments)
     cell = load_cell(Path(given.cell_file) if given.cell_file else None)
-    job = Job(given.job_id, given.part_uri, serial_number=given.serial_number)
+    job = Job(
+        given.job_id,
+        given.part_uri,
+        serial_number=given.serial_number,
+        operator_name=given.operator,
+    )
     truth = TruthLog(cell.T_base_link_arm_base)
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     reason = Path(given.runs_folder) / given.job_id / "log" / "died.txt"
@@ -225,6 +237,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--runs-folder", default="runs", help="folder of the runs' log folders")
     parser.add_argument("--job-id", required=True, help="id of the job")
     parser.add_argument("--serial-number", default="", help="serial number of the individual part")
+    parser.add_argument("--operator", default="", help="who asks, where the cell has a list")
     parser.add_argument("--cell-file", default="", help="cell file; empty = the default cell")
     parser.add_argument("--namespace", default="", help="namespace of the cell's nodes")
     parser.add_argument("--json-lines", action="store_true", help="events as JSON lines (always)")

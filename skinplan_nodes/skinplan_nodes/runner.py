@@ -168,7 +168,8 @@ class Runner:
         options = self.options
         arguments = [sys.executable, "-m", f"{PACKAGE}.{CLIENT}", "--part-uri", str(options.part)]
         arguments += ["--runs-folder", str(options.graph.runs_folder), "--job-id", options.job_id]
-        arguments += ["--serial-number", options.serial_number, "--namespace", options.namespace]
+        arguments += ["--serial-number", options.serial_number, "--operator", options.operator_name]
+        arguments += ["--namespace", options.namespace]
         arguments += ["--cell-file", options.graph.cell_file, "--json-lines"]
         return f"exec {shlex.join(arguments)} 2>>{shlex.quote(str(log_folder / CLIENT))}.log"
 

@@ -25,6 +25,7 @@ class RunnerOptions:
         json_lines: Events on stdout as JSON lines.
         job_id: Id of the job; empty = made here.
         serial_number: Of the individual part; may be empty.
+        operator_name: Who asks; one of the cell's list of operators, where it has one.
         namespace: Of all nodes; may be empty.
         config_folder: Folder of parameter files ``<node>.yaml``; None = the nodes' defaults.
         restarts: How often a node that died is started again.
@@ -37,6 +38,7 @@ class RunnerOptions:
     json_lines: bool = False
     job_id: str = ""
     serial_number: str = ""
+    operator_name: str = ""
     namespace: str = ""
     config_folder: Path | None = None
     restarts: RestartPolicy = RestartPolicy()
@@ -103,6 +105,7 @@ def _options(given: argparse.Namespace, job_id: str) -> RunnerOptions:
         json_lines=given.json_lines,
         job_id=job_id,
         serial_number=given.serial_number,
+        operator_name=given.operator,
         namespace=given.namespace,
         config_folder=given.config_folder,
         restarts=RestartPolicy(given.restarts, given.restart_window_s),
@@ -129,6 +132,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--job-id", default="", help="id of the job; made here without it")
     parser.add_argument("--serial-number", default="", help="serial number of the individual part")
+    parser.add_argument("--operator", default="", help="who asks, where the cell has a list")
     parser.add_argument("--namespace", default="", help="namespace of all nodes, e.g. /cell1")
     parser.add_argument("--config-folder", type=Path, help="folder of parameter files <node>.yaml")
     parser.add_argument(

@@ -14,6 +14,7 @@ from skinplan_msgs.msg import Heartbeat, Job, JobStatus, PartReference, Status
 from skinplan_msgs.srv import JobCommand, JobGet, JobList, JobSubmit
 
 from nodes.bench import Bench
+from skinplan.jobs.store import JobStore
 from skinplan.part.samples import write_sample
 from skinplan_nodes.cell_supervisor import CellSupervisor
 from skinplan_nodes.qos import LATCHED, STATE
@@ -33,7 +34,9 @@ class Desk:
         self.bench, self.folder, self.part_uri = bench, folder, part_uri
         self.states = bench.collect_before(JobStatus, "job_status", LATCHED)
         values = {"required_nodes": ["nobody"], "calibration_required": False, **parameters}
-        bench.start(CellSupervisor, simulated=False, runs_folder=str(folder), **values)
+        self.supervisor = bench.start(
+            CellSupervisor, simulated=False, runs_folder=str(folder), **values
+        )
 
     def call(self, kind: Any, name: str, **fields: Any) -> Any:
         client = self.bench.tester.create_client(kind, f"jobs/{name}")
@@ -93,6 +96,25 @@ def test_bad_requests_get_their_own_codes(desk: Callable[..., Desk]) -> None:
     assert cell.command("j1", Ask.PAUSE).status.code == Status.JOB_COMMAND_REFUSED
     assert cell.command("j1", 99).status.code == Status.JOB_COMMAND_REFUSED
     assert cell.command("none", Ask.START).status.code == Status.JOB_UNKNOWN
+
+
+def test_a_supervisor_that_ends_begins_no_other_job(desk: Callable[..., Desk]) -> None:
+    cell = desk()
+    cell.submit("j1")
+    cell.until(JobStatus.RUNNING)
+    cell.submit("j2")
+    cell.supervisor.close()
+
+    def state_of(job_id: str) -> int:
+        store = JobStore(cell.folder / "jobs.sqlite", copy=True)
+        try:
+            return store.get(job_id).state
+        finally:
+            store.close()
+
+    cell.bench.wait(lambda: state_of("j1") == JobStatus.ABORTED)
+    assert state_of("j2") == JobStatus.ALLOWED_TO_START
+    assert not (cell.folder / "j2").exists()
 
 
 def test_cancelled_job_never_begins(desk: Callable[..., Desk]) -> None:

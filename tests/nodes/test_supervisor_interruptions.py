@@ -136,6 +136,9 @@ def test_an_undisturbed_job_passes_every_point_once(run: Callable[..., Run]) -> 
     assert job.cell.asked == [[0, 1, 2], [3, 4, 5]]
     assert job.cell.calls.count("localize") == 3
     assert summary["interruptions"] == [] and summary["rescans"] == []
+    steps = [step["step"] for step in summary["timeline"]]
+    assert steps[0] == "starting" and steps[-1] == "closing, station 2"
+    assert steps.count("scanning, station 1") == steps.count("scanning, station 2") == 1
     assert summary["measured"]["area_ratio_over_certified"] == 0.0
     np.testing.assert_allclose(job.cell.arm.q, HOME, atol=1e-6)
     assert job.cell.bags == ["bag"] and job.cell.calls.count("recorder/stop") == 1

@@ -22,11 +22,13 @@ from skinplan_nodes.supervisor.control import (
     JobControl,
     Request,
 )
+from skinplan_nodes.supervisor.journal import Entry
 from skinplan_nodes.supervisor.machine import Event
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.run_data import Round
 from skinplan_nodes.supervisor.run_folder import RunFolder
 from skinplan_nodes.supervisor.time_left import TimeLeft
+from skinplan_nodes.supervisor.timeline import timeline
 from skinplan_nodes.supervisor.watch import NodeWatch, process_runs
 
 CELL = CellConfig()
@@ -211,3 +213,29 @@ def test_run_folder_that_cannot_be_made_is_named(tmp_path: Path) -> None:
     (tmp_path / "runs").write_text("a file")
     with pytest.raises(JobInvalidError, match="can't be made"):
         RunFolder.create(tmp_path / "runs", "job")
+
+
+def test_the_timeline_has_each_stay_at_a_station_once() -> None:
+    def entry(at_s: float, state: str, station: int = 0, rescan: int = 0) -> Entry:
+        values = {"state": state, "event": "done", "station": station, "rescan": rescan}
+        return Entry("state", 1_000 + round(at_s * 1e9), values)
+
+    entries = [
+        Entry("job", 0, {}),
+        entry(0.0, "starting"),
+        entry(2.0, "planning_path"),
+        entry(5.0, "moving", 1),
+        Entry("points", 6, {}),
+        entry(6.0, "scanning", 1),
+        entry(8.0, "moving", 1),
+        entry(9.0, "scanning", 1, 1),
+        Entry("over", 1_000 + 12 * 10**9, {"state": "ended", "code": 1}),
+    ]
+    found = [(step["step"], step["begin_s"], step["end_s"]) for step in timeline(entries)]
+    assert found == [
+        ("starting", 0.0, 2.0),
+        ("planning path", 2.0, 5.0),
+        ("scanning, station 1", 5.0, 9.0),
+        ("scanning, station 1, re-scan 1", 9.0, 12.0),
+    ]
+    assert timeline([]) == []

@@ -221,6 +221,20 @@ def test_verdicts(tmp_path: Path, document: dict[str, Any], level: str, title: s
     assert f'class="verdict {level}"' in render(read_run(tmp_path))
 
 
+def test_steps_of_the_run_follow_each_other(tmp_path: Path) -> None:
+    steps = [
+        {"step": "driving", "begin_s": 0.0, "end_s": 5.0},
+        {"step": "scanning", "begin_s": 5.0, "end_s": 20.0},
+        {"step": "lost", "begin_s": None, "end_s": 1.0},
+        {"step": "back", "begin_s": 9.0, "end_s": 1.0},
+    ]
+    text = render(read_run(make_run(tmp_path / "run", summary(timeline=steps))))
+    assert "Run: 20 s" in text
+    assert "margin-left: 0.0%; width: 25.0%" in text
+    assert "margin-left: 25.0%; width: 75.0%" in text
+    assert "<span>lost</span>" not in text and "<span>back</span>" not in text
+
+
 def test_texts_of_others_are_escaped(tmp_path: Path) -> None:
     evil = {EVIL: EVIL}
     document = summary(

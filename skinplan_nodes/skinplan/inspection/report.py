@@ -30,12 +30,12 @@ from skinplan.inspection.report_head import (
     missing_rows,
     region_rows,
 )
+from skinplan.inspection.report_times import bars
 from skinplan.inspection.run_files import RunFiles, items, number, read_run, section
 from skinplan.inspection.verdict import verdict
 from skinplan.inspection.wording import count, degrees, millimetres, percent, plain, seconds
 
 _MOST_ROWS = 500
-_STAGES = ("mesh", "scan_path", "coverage", "stations", "trajectory")
 _SHOWN_APART = {
     "job",
     "measured",
@@ -46,6 +46,7 @@ _SHOWN_APART = {
     "inspection",
     "calibration",
     "files",
+    "timeline",
 }
 
 
@@ -119,7 +120,7 @@ def _context(files: RunFiles) -> dict[str, Any]:
         "has_path": bool(files.path),
         "floor": floor_figure(files),
         "localization": [_localization(row) for row in items(files.summary, "localization")],
-        "bars": _bars(files),
+        "bars": bars(files),
         "stations": _stations(files),
         "skipped": _skipped(files),
         "job": _facts(job),
@@ -225,38 +226,6 @@ def _localization(row: dict[str, Any]) -> list[str]:
         millimetres(row.get("position_error_m"), 2),
         degrees(row.get("angle_error_rad")),
     ]
-
-
-def _bars(files: RunFiles) -> list[tuple[str, list[tuple[str, float, str]]]]:
-    """Groups of bars: title, then for each bar name, length [%] and value."""
-    planning, trajectory = (
-        section(files.summary, "planning_s"),
-        section(files.summary, "trajectory"),
-    )
-    cycle = [(key, trajectory.get(f"{key}_s")) for key in ("scan", "transit", "base")]
-    groups: list[tuple[str, list[tuple[str, Any]], Any]] = [
-        (
-            "Planning",
-            [(name.replace("_", " "), planning.get(name)) for name in _STAGES],
-            planning.get("total"),
-        ),
-        ("Cycle, planned", cycle, trajectory.get("cycle_s")),
-        ("Run", [(str(s.get("step")), _span(s)) for s in items(files.summary, "timeline")], None),
-    ]
-    found = []
-    for title, bars, total in groups:
-        lengths = [(name, number(value)) for name, value in bars if math.isfinite(number(value))]
-        if lengths:
-            longest = max(max(value for _, value in lengths), 1e-9)
-            shown = f"{title}: {seconds(total)}" if math.isfinite(number(total)) else title
-            found.append(
-                (shown, [(n, max(0.0, 100 * v / longest), seconds(v)) for n, v in lengths])
-            )
-    return found
-
-
-def _span(step: dict[str, Any]) -> float:
-    return number(step.get("end_s")) - number(step.get("begin_s"))
 
 
 def _stations(files: RunFiles) -> list[list[str]]:

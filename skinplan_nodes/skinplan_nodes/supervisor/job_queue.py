@@ -73,6 +73,7 @@ class JobQueue:
         self.active: JobRecord | None = None
         self.control = JobControl()
         self._time_left = TimeLeft()
+        self._closed = False
         self._not_stored: tuple[JobRecord, Mapping[str, Any] | None] | None = None
 
     def abort_active(self, code: int, message: str, node: str = "") -> None:
@@ -86,6 +87,12 @@ class JobQueue:
         with self.lock:
             if self.active is not None:
                 self.control.abort(code, message, node)
+
+    def close(self, code: int, message: str) -> None:
+        """Ends the job on the cell; no other one begins any more."""
+        with self.lock:
+            self._closed = True
+            self.abort_active(code, message)
 
     def ask(self, request: Request) -> None:
         """Tells the job on the cell that something has happened, if there is a job."""
@@ -189,7 +196,7 @@ class JobQueue:
         """Starts the next job when the cell is free; one that may not start any more waits."""
         with self.lock:
             try:
-                while self.active is None and self._not_stored is None and self._take():
+                while not self._busy() and self._take():
                     pass
             except JobStoreError as error:
                 # Tried again with the next tick.
@@ -214,6 +221,9 @@ class JobQueue:
     def as_of_now(self, record: JobRecord) -> JobRecord:
         """Returns a record with the time left by now, and the expected end."""
         return self._time_left.now(record, self._now_s(), time.time())
+
+    def _busy(self) -> bool:
+        return self._closed or self.active is not None or self._not_stored is not None
 
     def _take(self) -> bool:
         """Begins the next job, or sends it back; returns whether there was one."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from skinplan.errors import SkinplanError
+from skinplan.inspection.complete import complete_run
 from skinplan.inspection.report import write_report
 from skinplan.jobs.model import Job, JobState
 from skinplan.part.files import load_part
@@ -20,6 +21,7 @@ from skinplan_nodes.supervisor.cell import Cell
 from skinplan_nodes.supervisor.certificate import certified_motion
 from skinplan_nodes.supervisor.control import AbortError, JobControl, StepError
 from skinplan_nodes.supervisor.faults import NODE_LOST
+from skinplan_nodes.supervisor.journal import JournalError, read_journal
 from skinplan_nodes.supervisor.limits import Limits
 from skinplan_nodes.supervisor.machine import State, job_state
 from skinplan_nodes.supervisor.mission import Mission, ResumeSettings
@@ -35,6 +37,7 @@ from skinplan_nodes.supervisor.restore import (
 from skinplan_nodes.supervisor.run_data import RunData
 from skinplan_nodes.supervisor.run_folder import RunFolder
 from skinplan_nodes.supervisor.steps import RescanSettings, Steps
+from skinplan_nodes.supervisor.timeline import timeline
 
 OK = 1
 _RESUME_REFUSED = 805
@@ -258,18 +261,18 @@ class JobWorker:
             None if part is None else part.scan,
         )
         summary["calibration"] = self.calibration()
+        summary["timeline"] = _timeline(folder)
         folder.finish(summary)
         # Who interrupts a job does not want to wait for a report.
-        if self.settings.with_report and not isinstance(failure, AbortError):
-            self._report(folder)
+        self._complete(folder, self.settings.with_report and not isinstance(failure, AbortError))
         # The report adds to it: the job store keeps what stands on disk.
         document: dict[str, Any] = json.loads(folder.summary.read_text(encoding="utf-8"))
         return document
 
-    def _report(self, folder: RunFolder) -> None:
-        """Writes the report; the measurement is good also without."""
+    def _complete(self, folder: RunFolder, with_report: bool) -> None:
+        """Completes the summary, by a report or alone; the measurement is good also without."""
         try:
-            write_report(folder.path)
+            (write_report if with_report else complete_run)(folder.path)
         except (SkinplanError, OSError) as error:
             folder.note(f"report: {error}")
             _log.error("run %s: report: %s", folder.path, error)
@@ -286,6 +289,14 @@ def sentence(error: StepError) -> str:
     """Returns step, node and reason in one sentence."""
     place = f"{error.step or 'job'} failed" + (f" at {error.node}" if error.node else "")
     return f"{place}: {error}"
+
+
+def _timeline(folder: RunFolder) -> list[dict[str, Any]]:
+    try:
+        return timeline(read_journal(folder.journal))
+    except JournalError as error:
+        folder.note(f"no timeline: {error}")
+        return []
 
 
 def _metadata(job: Job, part: Part) -> dict[str, str]:
