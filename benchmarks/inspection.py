@@ -17,7 +17,6 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from skinplan.errors import AlignmentError
-from skinplan.inspection.align import align
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.coverage import CoverageSoFar
 from skinplan.inspection.measure import coverage_so_far, inspect
@@ -29,6 +28,7 @@ from skinplan.mock.scanner import MockScanner
 from skinplan.mock.tracker import MockTracker
 from skinplan.part.model import ScanSettings
 from skinplan.part.samples import sample_panel
+from skinplan.recognition.align import align
 from skinplan.scanner.model import ScannerModel
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import apply, difference, transform

@@ -2,20 +2,20 @@
 
 import json
 import math
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from skinplan.whole_file import whole_file
+
 
 def write_json(path: Path, document: Mapping[str, Any]) -> None:
     """Writes a JSON file in one step: a reader sees the old one or the new one, never half."""
     text = json.dumps(plain(document), indent=1, allow_nan=False)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
-    temporary.write_text(text + "\n", encoding="utf-8")
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        temporary.write_text(text + "\n", encoding="utf-8")
 
 
 def plain(value: Any) -> Any:

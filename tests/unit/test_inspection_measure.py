@@ -8,7 +8,6 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
 from skinplan.errors import AlignmentError, InputError, MeshEmptyError, NoCloudError
-from skinplan.inspection.align import AlignSettings, align
 from skinplan.inspection.closest import SurfaceIndex, edge_neighbours
 from skinplan.inspection.cloud import read_ply
 from skinplan.inspection.coverage import CoverageSoFar
@@ -16,6 +15,7 @@ from skinplan.inspection.measure import InspectionSettings, coverage_so_far, dev
 from skinplan.inspection.merge import MergedCloud
 from skinplan.inspection.results import write_results
 from skinplan.mesh.model import Segmentation, SurfaceMesh
+from skinplan.recognition.align import AlignSettings, align
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import apply, difference, inverse, rotate, transform
 

@@ -57,7 +57,7 @@ def test_dents_and_misalignment_are_given_back_with_the_noise_of_the_devices():
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", ["scene1", "scene3", "scene4"])
+@pytest.mark.parametrize("name", ["scene1", "scene2", "scene3", "scene4"])
 @pytest.mark.parametrize("seed", [2, 3])
 def test_the_sample_panels_are_found_from_far(name, seed):
     # Frames as a scan at 10 Hz and 0.2 m/s takes them.

@@ -1,6 +1,5 @@
 """Clouds as binary PLY files with the frame and further values of each point."""
 
-import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -9,6 +8,7 @@ import numpy as np
 
 from skinplan.errors import CloudInvalidError
 from skinplan.transforms import Array
+from skinplan.whole_file import whole_file
 
 _MOST_HEADER = 64 * 1024
 _MOST_POINTS = 2_000_000_000
@@ -87,16 +87,13 @@ def write_ply(
         f"element vertex {len(points)}",
     ]
     header += [f"property float {name}" for name in named]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with temporary.open("wb") as stream:
+        with whole_file(path) as temporary, temporary.open("wb") as stream:
             stream.write(("\n".join([*header, "end_header"]) + "\n").encode("ascii", "replace"))
             for begin in range(0, len(points), _BATCH):
                 columns = [value[begin : begin + _BATCH] for value in named.values()]
                 stream.write(np.stack(columns, axis=1).astype("<f4").tobytes())
-        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise CloudInvalidError(
             f"{path}: the cloud can't be written ({error.strerror or error})"
         ) from error

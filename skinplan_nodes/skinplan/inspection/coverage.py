@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from skinplan.errors import InputError
-from skinplan.inspection.align import checked_points
+from skinplan.inspection.points import checked_points
 from skinplan.scanner.model import SurfaceSamples
 from skinplan.transforms import Array
 

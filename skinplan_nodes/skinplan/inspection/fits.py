@@ -7,13 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import InputError
-from skinplan.inspection.align import checked_points
+from skinplan.inspection.points import SIGMA_OF_MAD, TUKEY, checked_points
 from skinplan.transforms import Array
 
-# Tukey's constant for 95 % efficiency with Gaussian noise, and the factor from the median absolute
-# deviation to sigma.
-_TUKEY = 4.685
-_SIGMA_OF_MAD = 1.4826
 _LEAST_SIGMA_M = 1e-9
 _ITERATIONS = 60
 _DONE = 1e-12
@@ -193,5 +189,5 @@ def _covariance(residuals: Array, jacobian: Array, weights: Array) -> Array:
 
 
 def _weights(residuals: Array, least_sigma: float) -> Array:
-    sigma = max(_SIGMA_OF_MAD * float(np.median(np.abs(residuals))), least_sigma)
-    return np.asarray(np.clip(1.0 - (residuals / (_TUKEY * sigma)) ** 2, 0.0, None) ** 2)
+    sigma = max(SIGMA_OF_MAD * float(np.median(np.abs(residuals))), least_sigma)
+    return np.asarray(np.clip(1.0 - (residuals / (TUKEY * sigma)) ** 2, 0.0, None) ** 2)

@@ -1,6 +1,5 @@
 """Clouds as compressed LAS (LAZ 1.4), for programs of surveyors."""
 
-import os
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -8,6 +7,7 @@ import numpy as np
 
 from skinplan.errors import CloudInvalidError
 from skinplan.transforms import Array
+from skinplan.whole_file import whole_file
 
 # LAS keeps whole multiples of this [m].
 _STEP_M = 1e-6
@@ -33,9 +33,11 @@ def write_laz(path: Path, points: Array, values: Mapping[str, Array]) -> None:
     header.offsets = np.floor(points.min(axis=0)) if len(points) else np.zeros(3)
     named = {("returned_light" if k == "intensity" else k): v for k, v in values.items()}
     header.add_extra_dims([laspy.ExtraBytesParams(name, "f4") for name in named])
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with laspy.open(str(temporary), mode="w", header=header, do_compress=True) as stream:
+        with (
+            whole_file(path) as temporary,
+            laspy.open(str(temporary), mode="w", header=header, do_compress=True) as stream,
+        ):
             for begin in range(0, len(points), _BATCH):
                 part = slice(begin, begin + _BATCH)
                 record = laspy.ScaleAwarePointRecord.zeros(len(points[part]), header=header)
@@ -43,7 +45,5 @@ def write_laz(path: Path, points: Array, values: Mapping[str, Array]) -> None:
                 for name, value in named.items():
                     record[name] = value[part].astype(np.float32)
                 stream.write_points(record)
-        temporary.replace(path)
     except (OSError, ValueError) as error:
-        temporary.unlink(missing_ok=True)
         raise CloudInvalidError(f"{path}: the cloud can't be written ({error})") from error

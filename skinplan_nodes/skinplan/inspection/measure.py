@@ -8,10 +8,10 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skinplan.errors import AlignmentError
-from skinplan.inspection.align import checked_points
 from skinplan.inspection.closest import Closest, SurfaceIndex
 from skinplan.inspection.coverage import RADIUS_M, CoverageSoFar
 from skinplan.inspection.model import Inspection
+from skinplan.inspection.points import checked_points
 from skinplan.inspection.registration import RegistrationSettings, register
 from skinplan.inspection.surface import SurfaceFigures
 from skinplan.mesh.model import Segmentation, SurfaceMesh

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import InputError
-from skinplan.inspection.align import checked_points
+from skinplan.inspection.points import checked_points
 from skinplan.transforms import Array
 
 _LOG = logging.getLogger(__name__)

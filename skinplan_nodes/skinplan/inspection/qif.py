@@ -15,6 +15,7 @@ from typing import Any
 
 from skinplan.errors import InputError
 from skinplan.inspection.run_files import items, number, section
+from skinplan.whole_file import whole_file
 
 NAME = "results.qif"
 _SPACE = "http://qifstandards.org/xsd/qif3"
@@ -99,10 +100,10 @@ def write_qif(folder: Path, summary: Mapping[str, Any]) -> Path:
     Raises:
         InputError: It can't be written.
     """
-    path, temporary = folder / NAME, folder / f".{NAME}.tmp"
+    path = folder / NAME
     try:
-        temporary.write_bytes(qif_document(summary))
-        temporary.replace(path)
+        with whole_file(path) as temporary:
+            temporary.write_bytes(qif_document(summary))
     except OSError as error:
         raise InputError(f"{path}: it can't be written ({error.strerror or error})") from error
     return path

@@ -17,6 +17,7 @@ from skinplan.json_file import write_json
 from skinplan.part.inspection_plan import InspectionPlan
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.transforms import quaternion
+from skinplan.whole_file import whole_file
 
 #: Version of the documents ``inspection.json`` and ``summary.json``: the first number changes when
 #: a reader of the old ones would go wrong.
@@ -160,13 +161,10 @@ def write_deviation_csv(path: Path, figures: SurfaceFigures, measured: NDArray[n
         ]
     )
     form = ["%.6f"] * 6 + ["%.9f", "%d", "%d", "%d"] + ["%.7f"] * 4
-    temporary = path.with_name(f".{path.name}.tmp")
     try:
-        with temporary.open("w", encoding="ascii") as stream:
+        with whole_file(path) as temporary, temporary.open("w", encoding="ascii") as stream:
             np.savetxt(stream, columns, form, ",", header=_CSV, comments="")
-        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise CloudInvalidError(
             f"{path}: it can't be written ({error.strerror or error})"
         ) from error

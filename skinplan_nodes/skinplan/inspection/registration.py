@@ -10,8 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skinplan.errors import AlignmentError, NoCloudError
-from skinplan.inspection.align import checked_points, evenly
+from skinplan.errors import AlignmentError
 from skinplan.inspection.border import Border, cloud_ends
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.determined import (
@@ -27,6 +26,7 @@ from skinplan.inspection.determined import (
     weak_directions,
 )
 from skinplan.inspection.model import Alignment
+from skinplan.inspection.points import FEWEST, SIGMA_OF_MAD, TUKEY, enough_points, evenly
 from skinplan.transforms import Array, apply, inverse, require_transform, transform
 
 
@@ -55,11 +55,7 @@ class RegistrationSettings:
     iterations: int = 12
 
 
-# Tukey's constant for 95 % efficiency with Gaussian noise, and the factor from the median absolute
-# deviation to sigma.
-_TUKEY = 4.685
-_SIGMA_OF_MAD = 1.4826
-_FEWEST, _FEWEST_ENDS = 30, 5
+_FEWEST_ENDS = 5
 # Each scale is so much smaller than the one before; the last ones in smaller steps, where it is
 # decided what is dent and what is surface [m].
 _SCALES = ((0.06, 0.02, 0.007, 0.002), (0.001, 5e-4, 2.5e-4, 1.2e-4))
@@ -101,12 +97,7 @@ def register(
         InputError: A pose that is none, or points that are not finite.
     """
     settings = settings or RegistrationSettings()
-    cloud = checked_points(points)
-    if len(cloud) < _FEWEST:
-        raise NoCloudError(
-            f"an alignment was asked for; at least {_FEWEST} points are accepted, found "
-            f"{len(cloud)}"
-        )
+    cloud = enough_points(points)
     initial = require_transform(T_tracker_workpiece, "coarse pose")
     return _Registration(cloud, index, initial, settings).run()
 
@@ -197,7 +188,7 @@ class _Registration:
         gate = max(settings.gate_min_m, scale)
         kept = (found.distance < gate) & ~found.on_border
         self._used = float(np.mean(kept))
-        if np.count_nonzero(kept) < max(_FEWEST, settings.inlier_ratio_min * len(points)):
+        if np.count_nonzero(kept) < max(FEWEST, settings.inlier_ratio_min * len(points)):
             raise AlignmentError(
                 f"the cloud was to be laid on the part; {100 * self._used:.0f} % of its points "
                 f"lie within {gate * 1e3:.1f} mm of the surface, at least "
@@ -205,8 +196,8 @@ class _Registration:
             )
         normals = found.normals[kept]
         residual = np.einsum("ij,ij->i", moved[kept] - found.points[kept], normals)
-        self._sigma = max(settings.noise_min_m, _SIGMA_OF_MAD * float(np.median(np.abs(residual))))
-        weight = _tukey(residual, max(scale, _TUKEY * self._sigma) if scale else None, self._sigma)
+        self._sigma = max(settings.noise_min_m, SIGMA_OF_MAD * float(np.median(np.abs(residual))))
+        weight = _tukey(residual, max(scale, TUKEY * self._sigma) if scale else None, self._sigma)
         return Rows(
             jacobian(moved[kept], normals, self._pivot, self._size),
             residual,
@@ -227,8 +218,8 @@ class _Registration:
         if len(found.points) < _FEWEST_ENDS:
             return None
         residual = found.beyond + self._inset
-        spread = max(_SIGMA_OF_MAD * float(np.median(np.abs(residual))), self._inset_first / 3.0)
-        weight = _tukey(residual, max(scale, _TUKEY * spread), spread)
+        spread = max(SIGMA_OF_MAD * float(np.median(np.abs(residual))), self._inset_first / 3.0)
+        weight = _tukey(residual, max(scale, TUKEY * spread), spread)
         if first:
             weight = np.where(residual < 0.0, _GAP_WEIGHT, 1.0) * weight
         rows = jacobian(found.points, found.outward, self._pivot, self._size, inset=1.0)
@@ -323,7 +314,7 @@ def _few(points: Array) -> Array:
 
 
 def _tukey(residual: Array, scale: float | None, sigma: float) -> Array:
-    bound = _TUKEY * sigma if scale is None else scale
+    bound = TUKEY * sigma if scale is None else scale
     return np.asarray((1.0 - np.minimum(np.abs(residual) / bound, 1.0) ** 2) ** 2)
 
 

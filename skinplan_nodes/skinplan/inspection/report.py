@@ -5,7 +5,6 @@ One file without external resources, light and dark, for screen, phone and paper
 
 import json
 import math
-import os
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -34,6 +33,7 @@ from skinplan.inspection.report_times import bars
 from skinplan.inspection.run_files import RunFiles, items, number, read_run, section
 from skinplan.inspection.verdict import verdict
 from skinplan.inspection.wording import count, degrees, millimetres, percent, plain, seconds
+from skinplan.whole_file import whole_file
 
 _MOST_ROWS = 500
 _SHOWN_APART = {
@@ -72,10 +72,9 @@ def write_report(run_folder: Path | str) -> Path:
     complete_run(folder)
     text = render(read_run(folder))
     path = folder / "report.html"
-    temporary = folder / f".report.html.{os.getpid()}"
     try:
-        temporary.write_text(text, encoding="utf-8")
-        temporary.replace(path)
+        with whole_file(path) as temporary:
+            temporary.write_text(text, encoding="utf-8")
     except OSError as error:
         raise InputError(
             f"{path}: the report can't be written ({error.strerror or error})"

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from skinplan.inspection.align import evenly
+from skinplan.inspection.points import evenly
 from skinplan.transforms import Array, inverse, transform
 
 # Robust extents leave this share of the points out on either side [%]: debris, and the part's very

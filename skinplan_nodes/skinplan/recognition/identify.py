@@ -14,10 +14,11 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from skinplan.errors import AlignmentError, InputError, NoCloudError
-from skinplan.inspection.align import AlignSettings, align, checked_points, evenly
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.measure import deviations
+from skinplan.inspection.points import checked_points, evenly
 from skinplan.mesh.model import SurfaceMesh
+from skinplan.recognition.align import AlignSettings, align
 from skinplan.recognition.box import Box, box_poses
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import Array, apply, difference, inverse

@@ -11,6 +11,7 @@ import yaml
 from skinplan.errors import BagInvalidError
 from skinplan.recording.model import BagTopic
 from skinplan.recording.qos import qos_document
+from skinplan.whole_file import whole_file
 
 VERSION = 9
 FILE_NAME = "metadata.yaml"
@@ -76,17 +77,12 @@ def write_metadata(folder: Path, document: Mapping[str, Any]) -> None:
     Raises:
         OSError: The disk does not take it; what was there before is still there.
     """
-    temporary = folder / f".{FILE_NAME}.{os.getpid()}"
     text = metadata_text({"rosbag2_bagfile_information": document})
-    try:
-        with temporary.open("w", encoding="utf-8") as stream:
-            stream.write(text)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(folder / FILE_NAME)
-    except OSError:
-        temporary.unlink(missing_ok=True)
-        raise
+    path = folder / FILE_NAME
+    with whole_file(path) as temporary, temporary.open("w", encoding="utf-8") as stream:
+        stream.write(text)
+        stream.flush()
+        os.fsync(stream.fileno())
 
 
 def read_metadata(folder: Path) -> dict[str, Any] | None:

@@ -28,6 +28,7 @@ import yaml
 from skinplan.errors import CalibrationInvalidError, PartInvalidError
 from skinplan.part.fields import Fields
 from skinplan.part.fixture_file import read_yaml
+from skinplan.whole_file import whole_file
 
 #: What a cell is calibrated for.
 NAMES = ("hand_eye", "tool", "tracker_position", "camera")
@@ -137,9 +138,8 @@ def note_calibration(
         "unit": unit,
     }
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.new")
-    temporary.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
-    temporary.replace(path)
+    with whole_file(path) as temporary:
+        temporary.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")
     return load_calibration(path, made)[NAMES.index(name)]
 
 

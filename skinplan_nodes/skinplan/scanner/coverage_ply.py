@@ -1,6 +1,5 @@
 """Writes a coverage certificate as a mesh with colours."""
 
-import os
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ from skinplan.errors import InputError
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.scanner.facet_states import facet_states
 from skinplan.scanner.model import Coverage
+from skinplan.whole_file import whole_file
 
 _NOT_JUDGED = (255, 255, 255)
 _FACE = np.dtype(
@@ -40,15 +40,12 @@ def write_coverage_ply(path: Path, mesh: SurfaceMesh, coverage: Coverage) -> Non
     faces["count"], faces["corners"], faces["sight"] = 3, mesh.faces, states.codes
     # Code -1, not judged, takes the last colour.
     faces["colour"] = np.vstack([states.colours, [_NOT_JUDGED]])[states.codes]
-    temporary = path.with_name(f".{path.name}.{os.getpid()}")
     try:
-        with temporary.open("wb") as stream:
+        with whole_file(path) as temporary, temporary.open("wb") as stream:
             stream.write(_header(mesh, states.names, states.colours).encode("ascii"))
             stream.write(mesh.vertices.astype("<f4").tobytes())
             stream.write(faces.tobytes())
-        temporary.replace(path)
     except OSError as error:
-        temporary.unlink(missing_ok=True)
         raise InputError(
             f"{path}: a file in a folder that can be written is accepted, but it can't be "
             f"written ({error.strerror or error})"

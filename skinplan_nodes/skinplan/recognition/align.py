@@ -1,6 +1,7 @@
 """Lays a cloud on a mesh quickly: point-to-plane ICP, robust (Tukey), held by a weak prior.
 
-For recognition, which tries many poses; a measured part is laid on its mesh by `registration`.
+Recognition tries many poses with it; a measured part is laid on its mesh by
+`skinplan.inspection.registration`.
 
 A smooth flat panel says nothing about where it lies along itself: without the prior the solution
 would slide. The prior says how well the initial pose is known; wherever the shape says more,
@@ -10,12 +11,12 @@ thousands of points outweigh it.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from skinplan.errors import AlignmentError, InputError, NoCloudError
+from skinplan.errors import AlignmentError
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.model import Alignment
+from skinplan.inspection.points import FEWEST, SIGMA_OF_MAD, TUKEY, enough_points, evenly
 from skinplan.transforms import Array, apply, inverse, require_transform, transform
 
 
@@ -44,11 +45,6 @@ class AlignSettings:
     inlier_ratio_min: float = 0.3
 
 
-# Tukey's constant for 95 % efficiency with Gaussian noise, and the factor from the median absolute
-# deviation to sigma.
-_TUKEY = 4.685
-_SIGMA_OF_MAD = 1.4826
-_FEWEST = 30
 # Converged: the last step moved the points by less than this along the normals (RMS). Sliding along
 # a surface that says nothing about it goes on for long and changes nothing that is measured.
 _MOTION_M = 1e-7
@@ -78,12 +74,7 @@ def align(
         InputError: A pose that is none, or points that are not finite.
     """
     settings = settings or AlignSettings()
-    cloud = checked_points(points)
-    if len(cloud) < _FEWEST:
-        raise NoCloudError(
-            f"an alignment was asked for; at least {_FEWEST} points are accepted, found "
-            f"{len(cloud)}"
-        )
+    cloud = enough_points(points)
     initial = require_transform(T_tracker_workpiece, "initial pose")
     cloud = cloud[evenly(len(cloud), settings.points)]
     # Solved in the workpiece frame about the cloud's centroid: there position and angle hardly
@@ -93,30 +84,6 @@ def align(
     pairs = _pairs(cloud, index, T_workpiece_cloud, gate, settings)
     rms = float(np.sqrt(np.average(pairs.residual**2, weights=pairs.weight)))
     return Alignment(initial @ inverse(T_workpiece_cloud), rms, iterations, converged)
-
-
-def checked_points(points: Array) -> Array:
-    """Returns points as float array of shape (n, 3).
-
-    Raises:
-        InputError: Another shape, or values that are not finite.
-    """
-    cloud = np.asarray(points, dtype=float)
-    if cloud.ndim != 2 or cloud.shape[1] != 3:
-        raise InputError(f"points: shape (n, 3) is accepted, found {cloud.shape}")
-    bad = int(np.count_nonzero(~np.isfinite(cloud).all(axis=1)))
-    if bad:
-        raise InputError(
-            f"points: finite coordinates are accepted, {bad} of {len(cloud)} points have others"
-        )
-    return cloud
-
-
-def evenly(count: int, most: int) -> NDArray[np.int64]:
-    """Returns at most `most` indices spread evenly over range(count)."""
-    if count <= most:
-        return np.arange(count)
-    return np.linspace(0, count - 1, most).astype(np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +127,7 @@ def _pairs(
     moved = apply(T_workpiece_cloud, cloud)
     found = index.closest(moved)
     kept = (found.distance < gate) & ~found.on_border
-    if np.count_nonzero(kept) < max(_FEWEST, settings.inlier_ratio_min * len(cloud)):
+    if np.count_nonzero(kept) < max(FEWEST, settings.inlier_ratio_min * len(cloud)):
         share = 100.0 * np.count_nonzero(kept) / len(cloud)
         raise AlignmentError(
             f"the cloud was to be laid on the part; {share:.0f} % of its points lie within "
@@ -171,10 +138,10 @@ def _pairs(
     residual = np.einsum("ij,ij->i", points - found.points[kept], normals)
     sigma = max(
         settings.noise_min_m,
-        _SIGMA_OF_MAD * float(np.median(np.abs(residual - np.median(residual)))),
+        SIGMA_OF_MAD * float(np.median(np.abs(residual - np.median(residual)))),
     )
     ratio = np.minimum(
-        np.abs(residual) / (_TUKEY * max(sigma, float(np.median(np.abs(residual))))), 1.0
+        np.abs(residual) / (TUKEY * max(sigma, float(np.median(np.abs(residual))))), 1.0
     )
     return _Pairs(points, normals, residual, (1.0 - ratio**2) ** 2, sigma)
 
