@@ -79,15 +79,15 @@ def test_the_tracker_and_the_part_s_place_reach_the_planner(
 ) -> None:
     latched = bench.collect(messages.TrajectoryPlan, "trajectory_plan", LATCHED)
     config, cell, job = load_cell(cell_file), cell_of(bench), Job("j1", str(part.source))
-    path = cell.plan_path(job)[0].path
+    path = cell.planners.plan_path(job)[0].path
     T_map_workpiece = planar(0.3, -0.2, 0.1) @ part.T_map_workpiece
-    plan = cell.plan_stations(job, path, T_map_workpiece)
+    plan = cell.planners.plan_stations(job, path, T_map_workpiece)
     assert plan.T_map_tracker is not None
     station = plan.stations[0]
     points = sorted(map(int, station.points))
     T_map_arm_base = station.T_map_base_link @ config.T_base_link_arm_base
     T_arm_base_workpiece = through_msg(inverse(T_map_arm_base) @ T_map_workpiece)
-    made = cell.plan_trajectory(job, path, station.id, T_arm_base_workpiece, points)
+    made = cell.planners.plan_trajectory(job, path, station.id, T_arm_base_workpiece, points)
     assert made is not None
     wanted = plan_station_trajectory(
         path,
@@ -114,8 +114,8 @@ def test_a_job_that_is_aborted_leaves_no_planning_behind(
     patient = replace(part, scan=replace(part.scan, tour_effort_s=4.0))
     patient = replace(patient, source=save_part(patient, tmp_path / "part.yaml"))
     cell, job = cell_of(bench), Job("j2", str(patient.source))
-    path = cell.plan_path(job)[0].path
-    station = cell.plan_stations(job, path, part.T_map_workpiece).stations[0]
+    path = cell.planners.plan_path(job)[0].path
+    station = cell.planners.plan_stations(job, path, part.T_map_workpiece).stations[0]
     T_map_arm_base = station.T_map_base_link @ CellConfig().T_base_link_arm_base
     place = inverse(T_map_arm_base) @ part.T_map_workpiece
     said = bench.collect(DiagnosticArray, "diagnostics", STATE)
@@ -127,7 +127,7 @@ def test_a_job_that_is_aborted_leaves_no_planning_behind(
 
     def plan() -> None:
         try:
-            cell.plan_trajectory(job, path, station.id, place, station.points.tolist())
+            cell.planners.plan_trajectory(job, path, station.id, place, station.points.tolist())
         except StepError as error:
             ended.append(error)
 

@@ -10,8 +10,9 @@ from rclpy.action import ActionClient
 from rclpy.client import Client
 from rclpy.node import Node
 from rclpy.task import Future
-from skinplan_msgs.msg import Status
+from skinplan_msgs.msg import PartReference, Status
 
+from skinplan.jobs.model import Job
 from skinplan_nodes.supervisor.control import StepError
 from skinplan_nodes.supervisor.waiting import Waiter
 
@@ -119,3 +120,8 @@ def _text(status: Status) -> str:
     if status.code == Status.UNSET:
         return "the answer has no status: the server failed without saying why"
     return status.message or f"status {status.code}"
+
+
+def part_reference(job: Job) -> PartReference:
+    """Returns what the services are told about a job's part."""
+    return PartReference(uri=job.part_uri, mesh_sha256=job.mesh_sha256)

@@ -33,12 +33,58 @@ class Located:
     stamp_s: float
 
 
+class Planners(Protocol):
+    """What a job asks of the planners; waits and errors as of `Cell`."""
+
+    def plan_path(self, job: Job, seen: Path | None) -> tuple[PlannedPath, dict[str, float]]:
+        """Plans the scan path, or only what a cloud leaves out.
+
+        Returns:
+            The path, and the wall time of its stages [s].
+        """
+
+    def plan_stations(self, job: Job, path: ScanPath, T_map_workpiece: Array) -> StationPlan:
+        """Chooses the stations."""
+
+    def plan_trajectory(
+        self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
+    ) -> StationTrajectory | None:
+        """Makes the arm's motion at one station, from where the arm stands.
+
+        Returns:
+            None = not one point can be scanned from it.
+        """
+
+    def encoded_path(self) -> bytes:
+        """Returns the path planned last, to be kept on disk."""
+
+    def encoded_stations(self) -> bytes:
+        """Returns the stations planned last, to be kept on disk."""
+
+    def encoded_trajectory(self, trajectory: StationTrajectory) -> bytes:
+        """Returns a trajectory, to be kept on disk."""
+
+    def restore_path(self, content: bytes) -> PlannedPath:
+        """Takes a path from disk as the one planned last."""
+
+    def restore_stations(self, content: bytes, T_map_workpiece: Array) -> StationPlan:
+        """Takes stations from disk as those planned last."""
+
+    def restored_trajectory(self, content: bytes) -> StationTrajectory:
+        """Returns a trajectory from disk."""
+
+
 class Cell(Protocol):
     """What a job asks of the cell.
 
     Every method waits, bounded, and raises `StepError`; those that stop or close something do not
     let themselves be interrupted.
+
+    Attributes:
+        planners: The planners.
     """
+
+    planners: Planners
 
     def wait_ready(self) -> None:
         """Waits until all nodes that a job needs are alive and the cell's time runs."""
@@ -75,25 +121,6 @@ class Cell(Protocol):
     def base_moved_m(self) -> float:
         """Returns how far the base is from where it located the part; NaN = not known [m]."""
 
-    def plan_path(self, job: Job, seen: Path | None) -> tuple[PlannedPath, dict[str, float]]:
-        """Plans the scan path, or only what a cloud leaves out.
-
-        Returns:
-            The path, and the wall time of its stages [s].
-        """
-
-    def plan_stations(self, job: Job, path: ScanPath, T_map_workpiece: Array) -> StationPlan:
-        """Chooses the stations."""
-
-    def plan_trajectory(
-        self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
-    ) -> StationTrajectory | None:
-        """Makes the arm's motion at one station, from where the arm stands.
-
-        Returns:
-            None = not one point can be scanned from it.
-        """
-
     def arm_joints(self) -> Array | None:
         """Returns where the arm stands, shape (6,) [rad]; None = not known."""
 
@@ -119,21 +146,3 @@ class Cell(Protocol):
 
     def reset_devices(self, all_devices: bool) -> None:
         """Resets the devices that we stopped, or all that stand still because of a fault."""
-
-    def encoded_path(self) -> bytes:
-        """Returns the path planned last, to be kept on disk."""
-
-    def encoded_stations(self) -> bytes:
-        """Returns the stations planned last, to be kept on disk."""
-
-    def encoded_trajectory(self, trajectory: StationTrajectory) -> bytes:
-        """Returns a trajectory, to be kept on disk."""
-
-    def restore_path(self, content: bytes) -> PlannedPath:
-        """Takes a path from disk as the one planned last."""
-
-    def restore_stations(self, content: bytes, T_map_workpiece: Array) -> StationPlan:
-        """Takes stations from disk as those planned last."""
-
-    def restored_trajectory(self, content: bytes) -> StationTrajectory:
-        """Returns a trajectory from disk."""

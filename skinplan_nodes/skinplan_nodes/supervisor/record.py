@@ -65,7 +65,7 @@ class RunRecord:
         if rescan == 0:
             self.data.planning_s.update(stages)
         self.folder.write_plan(path=planned.path, coverage=planned.coverage, rescan=rescan)
-        stored = self._store(f"path-{rescan}", self._cell.encoded_path())
+        stored = self._store(f"path-{rescan}", self._cell.planners.encoded_path())
         self._journal.add("path", plan_hash=scan_path_hash(planned.path), rescan=rescan, **stored)
         self.folder.note(f"scan path of {len(planned.path)} points")
 
@@ -75,7 +75,7 @@ class RunRecord:
         if n == 0:
             self.data.planning_s["stations"] = spent_s
         self.folder.write_plan(station_plan=plan, T_map_workpiece=T_map_workpiece, rescan=n)
-        stored = self._store(f"stations-{n}", self._cell.encoded_stations())
+        stored = self._store(f"stations-{n}", self._cell.planners.encoded_stations())
         self._journal.add(
             "stations",
             plan_hash=station_hash(plan),
@@ -123,7 +123,7 @@ class RunRecord:
             self.data.planning_s["trajectory"] = before_s + spent_s
         self.folder.write_plan(trajectories=self.data.round.trajectories, rescan=n)
         stored = self._store(
-            f"trajectory-{n}-{whole.station_id}", self._cell.encoded_trajectory(whole)
+            f"trajectory-{n}-{whole.station_id}", self._cell.planners.encoded_trajectory(whole)
         )
         self._journal.add(
             "trajectory",

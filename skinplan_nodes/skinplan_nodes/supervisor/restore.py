@@ -141,14 +141,14 @@ class _Reader:
             place.segment = values["segment"]
 
     def _path(self, values: dict[str, Any]) -> None:
-        planned = self._cell.restore_path(read_stored(self._folder, values))
+        planned = self._cell.planners.restore_path(read_stored(self._folder, values))
         _require_hash("scan path", scan_path_hash(planned.path), values)
         self._found.place.planned = self._found.data.round.planned = planned
 
     def _stations(self, values: dict[str, Any]) -> None:
         T_map_workpiece = _matrix(values["T_map_workpiece"])
         content = read_stored(self._folder, values)
-        plan = self._cell.restore_stations(content, T_map_workpiece)
+        plan = self._cell.planners.restore_stations(content, T_map_workpiece)
         _require_hash("station plan", station_hash(plan), values)
         place = self._found.place
         place.plan = self._found.data.round.station_plan = plan
@@ -177,7 +177,7 @@ class _Reader:
         )
 
     def _trajectory(self, values: dict[str, Any]) -> None:
-        whole = self._cell.restored_trajectory(read_stored(self._folder, values))
+        whole = self._cell.planners.restored_trajectory(read_stored(self._folder, values))
         _require_hash("trajectory", trajectory_hash([whole]), values)
         place = self._found.place
         place.executed = list(whole.segments[: values["done"]])

@@ -7,51 +7,36 @@ from types import SimpleNamespace
 from typing import Any
 
 from control_msgs.action import FollowJointTrajectory
-from geometry_msgs.msg import PoseStamped
 from nav2_msgs.action import NavigateToPose
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
-from rclpy.serialization import deserialize_message, serialize_message
 from skinplan_msgs.action import LocalizePart
-from skinplan_msgs.msg import InspectionResult, PartReference, Status
-from skinplan_msgs.msg import ScanPath as ScanPathMsg
-from skinplan_msgs.msg import StationPlan as StationPlanMsg
-from skinplan_msgs.msg import StationTrajectory as StationTrajectoryMsg
+from skinplan_msgs.msg import InspectionResult, Status
 from skinplan_msgs.srv import (
     InspectionFinish,
     InspectionStart,
-    PlanScanPath,
-    PlanStations,
-    PlanTrajectories,
     RecorderStart,
     RecorderStop,
 )
-from std_srvs.srv import SetBool, Trigger
+from std_srvs.srv import SetBool
 
 from skinplan.jobs.model import Job
-from skinplan.scan_path.model import ScanPath
-from skinplan.stations.model import StationPlan
-from skinplan.trajectory.model import Segment, StationTrajectory
+from skinplan.trajectory.model import Segment
 from skinplan.transforms import Array
 from skinplan_nodes.action_client import ThreadedActionClient
 from skinplan_nodes.conversions import (
-    coverage_figures_from_msg,
     joint_trajectory_to_msg,
     key_values_to_msg,
     part_pose_from_msg,
     pose_stamped_from_msg,
     pose_stamped_to_msg,
-    scan_path_from_msg,
-    station_plan_from_msg,
-    station_trajectory_from_msg,
-    station_trajectory_to_msg,
 )
-from skinplan_nodes.supervisor.calls import Calls
+from skinplan_nodes.supervisor.calls import Calls, part_reference
 from skinplan_nodes.supervisor.cell import Located
-from skinplan_nodes.supervisor.control import InterruptError, Request, StepError
+from skinplan_nodes.supervisor.control import Request, StepError
 from skinplan_nodes.supervisor.devices import Devices
 from skinplan_nodes.supervisor.motion import Motion, distance_m
-from skinplan_nodes.supervisor.run_data import PlannedPath
+from skinplan_nodes.supervisor.ros_planners import RosPlanners
 from skinplan_nodes.supervisor.waiting import Waiter
 from skinplan_nodes.supervisor.watch import NodeWatch
 
@@ -73,6 +58,11 @@ class RosCell:
             ``start_timeout_s``, ``stop_timeout_s``.
         watch: Which nodes are alive.
         on_fault: Told when a device can't go on.
+
+    Attributes:
+        waiter: Waits for what the job's thread waits for.
+        planners: The planners.
+        inspected: Figures of the last inspection.
     """
 
     def __init__(
@@ -91,16 +81,13 @@ class RosCell:
         self._motion = Motion(node)
         self.recorder_error = ""
         self._T_odom_located: Array | None = None
-        self._path_msg: Any = None
-        # Of the stations planned last; without a frame: not known.
-        self._tracker, self._map_pose = PoseStamped(), PoseStamped()
-        self._stations_msg = StationPlanMsg()
         self.inspected = InspectionResult()
         group = ReentrantCallbackGroup()
         self._services = {
             kind: node.create_client(kind, name, callback_group=group)
             for kind, name in _SERVICES.items()
         }
+        self.planners = RosPlanners(node, self._calls, values, self._motion.joint_state, group)
         self._actions = {
             kind: ThreadedActionClient(node, kind, name, callback_group=group)
             for kind, name in _ACTIONS.items()
@@ -173,7 +160,7 @@ class RosCell:
     def start_inspection(self, job: Job, folder: Path, resume: bool = False) -> int:
         """Begins to collect scan frames, or goes on."""
         request = InspectionStart.Request(
-            job_id=job.job_id, part=_reference(job), folder=str(folder), resume=resume
+            job_id=job.job_id, part=part_reference(job), folder=str(folder), resume=resume
         )
         timeout_s = self._values.planning_timeout_s
         return int(self._call(InspectionStart, request, timeout_s, "scan_inspector").frames)
@@ -206,7 +193,7 @@ class RosCell:
     def localize(self, job: Job, may_move: bool) -> Located:
         """Locates the part."""
         # A job's first look is the one that may move; between its stations the part stands still.
-        goal = LocalizePart.Goal(part=_reference(job), may_move=may_move, new_place=may_move)
+        goal = LocalizePart.Goal(part=part_reference(job), may_move=may_move, new_place=may_move)
         result, reached = self._act(
             LocalizePart, goal, self._values.localize_timeout_s, "aruco_localizer"
         )
@@ -231,61 +218,6 @@ class RosCell:
     def base_moved_m(self) -> float:
         """Returns how far the base is from where it located the part; NaN = not known [m]."""
         return distance_m(self._T_odom_located, self._motion.base_since(self.now_s()))
-
-    def plan_path(self, job: Job, seen: Path | None = None) -> tuple[PlannedPath, dict[str, float]]:
-        """Plans the scan path, or only what a cloud leaves out."""
-        request = PlanScanPath.Request(
-            part=_reference(job), seen_cloud="" if seen is None else str(seen)
-        )
-        response = self._call(
-            PlanScanPath, request, self._values.planning_timeout_s, "scan_path_planner"
-        )
-        planned = self._take_path(response.path)
-        mesh_s, coverage_s = response.mesh_time, response.coverage_time
-        rest_s = max(0.0, response.planning_time - mesh_s - coverage_s)
-        return planned, {"mesh": mesh_s, "scan_path": rest_s, "coverage": coverage_s}
-
-    def plan_stations(self, job: Job, path: ScanPath, T_map_workpiece: Array) -> StationPlan:
-        """Chooses the stations for the scan path planned last."""
-        request = PlanStations.Request(
-            part=_reference(job),
-            path=self._path_msg,
-            pose=pose_stamped_to_msg(T_map_workpiece, "map"),
-        )
-        response = self._call(
-            PlanStations, request, self._values.planning_timeout_s, "station_planner"
-        )
-        return self._take_stations(response.plan, request.pose)
-
-    def plan_trajectory(
-        self, job: Job, path: ScanPath, station: int, T_arm_base_workpiece: Array, points: list[int]
-    ) -> StationTrajectory | None:
-        """Makes the arm's motion at one station, from where the arm stands.
-
-        Tracker and part are in the shop where the stations planned last suppose them.
-        """
-        request = PlanTrajectories.Request(
-            part=_reference(job),
-            path=self._path_msg,
-            station_id=station,
-            pose=pose_stamped_to_msg(T_arm_base_workpiece, "arm_base"),
-            points=points,
-            start=self._motion.joint_state(),
-            tracker=self._tracker,
-            map_pose=self._map_pose,
-        )
-        try:
-            response = self._call(
-                PlanTrajectories, request, self._values.planning_timeout_s, "trajectory_planner"
-            )
-        except StepError as error:
-            if isinstance(error, InterruptError) or error.code == Status.DEVICE_TIMEOUT:
-                # Nobody waits for it any more, but the next job's would have to.
-                self._cancel_planning()
-            elif error.code == Status.NO_TRAJECTORY:
-                return None
-            raise
-        return station_trajectory_from_msg(response.trajectory)
 
     def arm_joints(self) -> Array | None:
         """Returns where the arm stands, shape (6,) [rad]; None = not known."""
@@ -357,52 +289,6 @@ class RosCell:
             text = f"{moving} {self._values.stop_timeout_s:g} s after it was stopped"
             raise StepError(Status.DEVICE_FAILED, text, _ARM if "arm" in moving else _BASE)
 
-    def encoded_path(self) -> bytes:
-        """Returns the path planned last, to be kept on disk."""
-        return bytes(serialize_message(self._path_msg))
-
-    def encoded_stations(self) -> bytes:
-        """Returns the stations planned last, to be kept on disk."""
-        return bytes(serialize_message(self._stations_msg))
-
-    def encoded_trajectory(self, trajectory: StationTrajectory) -> bytes:
-        """Returns a trajectory, to be kept on disk."""
-        return bytes(serialize_message(station_trajectory_to_msg(trajectory)))
-
-    def restore_path(self, content: bytes) -> PlannedPath:
-        """Takes a path from disk as the one planned last."""
-        return self._take_path(deserialize_message(content, ScanPathMsg))
-
-    def restore_stations(self, content: bytes, T_map_workpiece: Array) -> StationPlan:
-        """Takes stations from disk as those planned last."""
-        found = deserialize_message(content, StationPlanMsg)
-        return self._take_stations(found, pose_stamped_to_msg(T_map_workpiece, "map"))
-
-    def restored_trajectory(self, content: bytes) -> StationTrajectory:
-        """Returns a trajectory from disk."""
-        return station_trajectory_from_msg(deserialize_message(content, StationTrajectoryMsg))
-
-    def _take_path(self, found: ScanPathMsg) -> PlannedPath:
-        self._path_msg = found
-        return PlannedPath(
-            scan_path_from_msg(found),
-            coverage_figures_from_msg(found.coverage),
-            found.triangles,
-            found.area,
-            found.mesh_sha256,
-        )
-
-    def _take_stations(self, found: StationPlanMsg, map_pose: PoseStamped) -> StationPlan:
-        plan = station_plan_from_msg(found)
-        place = plan.T_map_tracker
-        self._tracker = PoseStamped() if place is None else pose_stamped_to_msg(place, "map")
-        self._stations_msg, self._map_pose = found, map_pose
-        return plan
-
-    def _cancel_planning(self) -> None:
-        if self._services[Trigger].service_is_ready():
-            self._services[Trigger].call_async(Trigger.Request())
-
     def _call(self, kind: Any, request: Any, timeout_s: float, node: str) -> Any:
         return self._calls.service(self._services[kind], request, timeout_s, node)
 
@@ -418,10 +304,6 @@ _SERVICES: dict[Any, str] = {
     RecorderStop: "recorder/stop",
     InspectionStart: "inspection/start",
     InspectionFinish: "inspection/finish",
-    PlanScanPath: "plan_scan_path",
-    PlanStations: "plan_stations",
-    PlanTrajectories: "plan_trajectories",
-    Trigger: "plan_trajectories/cancel",
     SetBool: "scanner/enable",
 }
 _ACTIONS: dict[Any, str] = {
@@ -435,7 +317,3 @@ def _wait_shortly(answers: list[Any]) -> None:
     deadline = time.monotonic() + _HALT_S
     while time.monotonic() < deadline and not all(answer.done() for answer in answers):
         time.sleep(0.01)
-
-
-def _reference(job: Job) -> PartReference:
-    return PartReference(uri=job.part_uri, mesh_sha256=job.mesh_sha256)

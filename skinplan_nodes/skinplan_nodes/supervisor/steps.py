@@ -113,7 +113,7 @@ class Steps:
         if place.rescan and len(self.record.data.rounds) <= place.rescan:
             self.record.data.rounds.append(Round())
         try:
-            planned, stages = self.cell.plan_path(self.job, seen)
+            planned, stages = self.cell.planners.plan_path(self.job, seen)
         except StepError as error:
             if place.rescan and error.code in _NOTHING_TO_RESCAN:
                 self.record.folder.note(f"no re-scan: {error}")
@@ -130,7 +130,9 @@ class Steps:
         assert place.planned is not None and place.T_map_workpiece is not None
         begin = time.perf_counter()
         try:
-            plan = self.cell.plan_stations(self.job, place.planned.path, place.T_map_workpiece)
+            plan = self.cell.planners.plan_stations(
+                self.job, place.planned.path, place.T_map_workpiece
+            )
         except StepError as error:
             if place.rescan and error.code in _NOTHING_TO_RESCAN:
                 self.record.folder.note(f"what is missing can't be reached: {error}")
@@ -150,7 +152,7 @@ class Steps:
         begin = time.perf_counter()
         made = None
         if points:
-            made = self.cell.plan_trajectory(
+            made = self.cell.planners.plan_trajectory(
                 self.job,
                 place.planned.path,
                 place.here.id,
@@ -275,7 +277,7 @@ class Steps:
         assert place.planned is not None and place.located is not None
         for point in sorted(place.passed_s, key=lambda p: -place.passed_s[p]):
             if point in place.here.points:
-                made = self.cell.plan_trajectory(
+                made = self.cell.planners.plan_trajectory(
                     self.job,
                     place.planned.path,
                     place.here.id,
