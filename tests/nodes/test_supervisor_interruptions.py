@@ -137,7 +137,7 @@ def test_an_undisturbed_job_passes_every_point_once(run: Callable[..., Run]) -> 
     assert job.cell.calls.count("localize") == 3
     assert summary["interruptions"] == [] and summary["rescans"] == []
     steps = [step["step"] for step in summary["timeline"]]
-    assert steps[0] == "starting" and steps[-1] == "closing, station 2"
+    assert steps[0] == "starting" and steps[-1] == "closing"
     assert steps.count("scanning, station 1") == steps.count("scanning, station 2") == 1
     assert summary["measured"]["area_ratio_over_certified"] == 0.0
     np.testing.assert_allclose(job.cell.arm.q, HOME, atol=1e-6)

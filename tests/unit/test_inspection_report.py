@@ -229,7 +229,7 @@ def test_steps_of_the_run_follow_each_other(tmp_path: Path) -> None:
         {"step": "back", "begin_s": 9.0, "end_s": 1.0},
     ]
     text = render(read_run(make_run(tmp_path / "run", summary(timeline=steps))))
-    assert "Run: 20 s" in text
+    assert "Run, wall time: 20 s" in text
     assert "margin-left: 0.0%; width: 25.0%" in text
     assert "margin-left: 25.0%; width: 75.0%" in text
     assert "<span>lost</span>" not in text and "<span>back</span>" not in text

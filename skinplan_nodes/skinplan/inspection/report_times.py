@@ -62,7 +62,7 @@ def _run(steps: list[dict[str, Any]]) -> tuple[str, list[Bar]]:
         Bar(name, scale * (begin - first), scale * (end - begin), seconds(end - begin))
         for name, begin, end in known
     ]
-    return _titled("Run", last - first), found
+    return _titled("Run, wall time", last - first), found
 
 
 def _titled(title: str, total: Any) -> str:

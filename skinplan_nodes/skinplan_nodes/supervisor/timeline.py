@@ -8,6 +8,8 @@ from skinplan_nodes.supervisor.machine import State
 
 # At a station these take turns for every segment: together they are one step.
 _AT_STATION = (State.MOVING, State.SCANNING)
+# These are about the whole part.
+_AFTER_STATIONS = (State.INSPECTING, State.FINISHING, State.CLOSING)
 
 
 def timeline(entries: Iterable[Entry]) -> list[dict[str, Any]]:
@@ -40,5 +42,5 @@ def timeline(entries: Iterable[Entry]) -> list[dict[str, Any]]:
 def _name(entry: Entry) -> str:
     state, station = State(entry.values["state"]), entry.values["station"]
     words = "scanning" if state in _AT_STATION else state.value.replace("_", " ")
-    words += f", station {station}" if station else ""
+    words += f", station {station}" if station and state not in _AFTER_STATIONS else ""
     return words + (f", re-scan {entry.values['rescan']}" if entry.values["rescan"] else "")
