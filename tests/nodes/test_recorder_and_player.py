@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from mcap_ros2.decoder import DecoderFactory
 from nav2_msgs.action import NavigateToPose
 from rclpy.action import ActionServer
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
+from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
 from skinplan_msgs.msg import Heartbeat, Status
 from skinplan_msgs.srv import PlayerSeek, PlayerSetRate, RecorderStart, RecorderStop
@@ -101,6 +103,11 @@ def test_a_publisher_that_offers_less_is_recorded_too(bench: Bench, tmp_path: Pa
     wait_for_messages(bench, recorder, "/mixed", 1)
     stop_recording(bench)
     assert texts(tmp_path / "bag", "/mixed") == ["heard"]
+    # It gives messages only to topics whose QoS are the same in file and metadata.
+    with AnyReader([tmp_path / "bag"]) as reader:
+        topics = Counter(connection.topic for connection, _, _ in reader.messages())
+        assert topics["/mixed"] == 1
+        assert sum(topics.values()) == reader.message_count
 
 
 def test_recorder_refuses(bench: Bench, tmp_path: Path) -> None:

@@ -96,8 +96,8 @@ class BagWriter:
             type_name: ROS type.
             schema_text: Definition with dependencies, see `schema_with_dependencies`.
             type_hash: RIHS01 hash; empty = unknown.
-            qos: QoS that the publishers offer. Of a topic that is known already they stand in the
-                next file and in ``metadata.yaml``.
+            qos: QoS that the publishers offer. Those of the first call stand in the bag; later ones
+                say only whether the last message is written again at the head of the next file.
 
         Returns:
             Number of the channel; the one it has already when the topic is known with the same

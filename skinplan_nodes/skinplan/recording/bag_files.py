@@ -46,8 +46,11 @@ class RecordedTopic:
         self.offer(self.topic.qos)
 
     def offer(self, qos: tuple[QosProfile, ...]) -> None:
-        """Takes what the publishers offer by now."""
-        self.topic = replace(self.topic, qos=qos)
+        """Takes what the publishers offer by now.
+
+        The recorded QoS stay those of the beginning, as rosbag2 has it: readers give a message to
+        the topic of the metadata that has the QoS of the message's channel, or to none.
+        """
         self.latched = any(profile.latched for profile in qos)
 
 
