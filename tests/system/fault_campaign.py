@@ -8,31 +8,22 @@ import argparse
 import json
 import os
 import random
-import signal
+import shutil
 import tempfile
 import time
 from collections import deque
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
-import yaml
-from diagnostic_msgs.msg import KeyValue
-from nav_msgs.msg import Odometry
 from rosbags.highlevel import AnyReader
-from sensor_msgs.msg import JointState
-from skinplan_msgs.msg import JobStatus, Status
-from skinplan_msgs.srv import InjectFault, JobCommand
+from skinplan_msgs.msg import JobStatus
+from skinplan_msgs.srv import JobCommand
 
-from nodes.bench import Bench
-from nodes.small_part import write_small_part
-from skinplan_nodes.conversions import stamp_from_msg
-from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.graph import GraphSettings, describe
-from skinplan_nodes.qos import LATCHED, STATE
-from system.graph_run import GraphRun
+from system.served_cell import ServedCell, Watch
 
 STATES = (
     "starting",
@@ -68,18 +59,25 @@ FAULTS = (*INJECTED, *KILLED)
 LASTS_S = 3.0
 #: A run that is not over by then hangs.
 BOUND_S = 240.0
-_FACTOR = "8"
-_STILL_RAD, _STILL_M = 1e-3, 2e-3
-_PATIENCE = {"operator_timeout_s": 60.0, "recovery_timeout_s": 40.0}
+#: How long the operator looks before he says RESUME [s of wall time].
+LOOKS_S = 0.5
+FACTOR = "16"
+PATIENCE = {"operator_timeout_s": 60.0, "recovery_timeout_s": 40.0}
+
+
+class Case(NamedTuple):
+    """One fault at one state."""
+
+    fault: str
+    state: str
+    seed: int
 
 
 @dataclass(frozen=True)
 class Row:
     """What became of one run."""
 
-    fault: str
-    state: str
-    seed: int
+    case: Case
     ended: str
     code: str
     area_ratio: float
@@ -87,6 +85,7 @@ class Row:
     moved_while_stopped: bool
     bag_messages: int
     wall_s: float
+    after_fault_s: float
     note: str
 
     @property
@@ -99,129 +98,60 @@ class Row:
         """As a line of a table."""
         area = "" if np.isnan(self.area_ratio) else f"{self.area_ratio:.4f}"
         moved = "**yes**" if self.moved_while_stopped else "no"
-        what = f"{self.fault} | {self.state} | {self.seed} | {self.ended} {self.code}"
-        figures = (
-            f"{self.interruptions} | {area} | {moved} | {self.bag_messages} | {self.wall_s:.0f}"
-        )
+        case = self.case
+        what = f"{case.fault} | {case.state} | {case.seed} | {self.ended} {self.code}"
+        figures = f"{self.interruptions} | {area} | {moved} | {self.bag_messages}"
+        figures += f" | {self.wall_s:.0f} | {self.after_fault_s:.0f}"
         return f"| {what} | {figures} |"
 
 
 HEAD = (
     "| fault | state | seed | end | interruptions | area | moved while stopped | bag messages | "
-    "wall [s] |\n|---|---|---|---|---|---|---|---|---|"
+    "wall [s] | after the fault [s] |\n|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
-class Watch:
-    """What somebody beside the cell sees: status, joints and odometry; and what he can do."""
-
-    def __init__(self) -> None:
-        self.bench = Bench()
-        node = self.bench.tester
-        self.status = JobStatus()
-        self._poses: deque[tuple[float, np.ndarray]] = deque(maxlen=4000)
-        self._joints, self._place = np.zeros(6), np.zeros(2)
-        node.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
-        subscribe_draining(node, JointState, "joint_states", self._on_joints, STATE)
-        node.create_subscription(Odometry, "odom", self._on_odometry, STATE)
-
-    def stands(self, for_s: float) -> bool:
-        """Whether arm and base do not move from the present status on, seconds of wall time.
-
-        Judged by the stamps: what this machine hears late happened before.
-        """
-        begin_s = stamp_from_msg(self.status.header.stamp)
-        time.sleep(for_s)
-        seen = np.array([pose for at_s, pose in list(self._poses) if at_s >= begin_s])
-        if not len(seen):
-            return True
-        spread = np.ptp(seen, axis=0)
-        return bool(spread[:6].max() < _STILL_RAD and spread[6:].max() < _STILL_M)
-
-    def inject(self, node: str, fault: str, values: dict[str, str]) -> None:
-        """Begins a fault; an empty one ends all of the node."""
-        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
-        request = InjectFault.Request(fault=fault, values=pairs)
-        answer = self.bench.call(InjectFault, f"{node}/inject_fault", request)
-        assert answer.status.code == Status.OK, answer.status.message
-
-    def resume(self, job_id: str) -> None:
-        """Says RESUME."""
-        request = JobCommand.Request(job_id=job_id, command=JobCommand.Request.RESUME)
-        self.bench.call(JobCommand, "jobs/command", request)
-
-    def _on_status(self, message: JobStatus) -> None:
-        self.status = message
-
-    def _on_joints(self, message: JointState) -> None:
-        self._joints = np.array(message.position)
-        stamp_s = stamp_from_msg(message.header.stamp)
-        self._poses.append((stamp_s, np.append(self._joints, self._place)))
-
-    def _on_odometry(self, message: Odometry) -> None:
-        place = message.pose.pose.position
-        self._place = np.array([place.x, place.y])
-
-
-def run_case(folder: Path, fault: str, state: str, seed: int) -> Row:
-    """Runs one job with one fault."""
-    part = write_small_part(folder)
-    config = folder / "config"
-    config.mkdir()
-    document = {"/**": {"ros__parameters": _PATIENCE}}
-    (config / "cell_supervisor.yaml").write_text(yaml.safe_dump(document))
-    watch = Watch()
-    options = ["--time-factor", _FACTOR, "--job-id", "job", "--seed", str(seed)]
-    options += ["--restarts", "5", "--config-folder", str(config)]
-    assert part.source is not None
-    run = GraphRun(folder / "runs", part.source, *options)
+def run_case(cell: ServedCell, job_id: str, case: Case) -> Row:
+    """Runs one job with one fault in a cell that is served."""
     begin = time.monotonic()
-    note, moved = "", False
-    try:
-        run.until_sub_state(state)
-        time.sleep(random.Random(f"{fault} {state} {seed}").uniform(0.0, 0.6))
-        try:
-            begin_fault(run, watch, fault)
-        except StopIteration:
-            note = "the run was over before the fault"
-        began = time.monotonic()
-        moved = follow(run, watch, fault, began)
-        if run.process.poll() is None:
-            note = f"hangs in {watch.status.sub_state}"
-            run.process.send_signal(signal.SIGINT)
-        run.wait(60.0)
-        run.wait_gone()
-    finally:
-        run.close()
-        watch.bench.close()
-    return row(folder / "runs" / "job", run, (fault, state, seed), moved, begin, note)
+    cell.order(job_id)
+    note = ""
+    if cell.until(job_id, case.state, BOUND_S):
+        time.sleep(random.Random(str(case)).uniform(0.0, 0.6))
+        begin_fault(cell, case.fault)
+    else:
+        note = f"{case.state} never came"
+    began = time.monotonic()
+    follow(cell, job_id, case.fault, began)
+    if not cell.watch.is_over(job_id):
+        status = cell.watch.status
+        note = f"hangs in {status.sub_state} of {status.job_id}: {status.status.message}"
+    return row(cell, job_id, case, time.monotonic() - begin, time.monotonic() - began, note)
 
 
-def begin_fault(run: GraphRun, watch: Watch, fault: str) -> None:
+def begin_fault(cell: ServedCell, fault: str) -> None:
     """Kills a process or injects a fault."""
     if fault.startswith("kill "):
-        run.node(fault.removeprefix("kill ")).send_signal(signal.SIGKILL)
+        cell.kill(fault.removeprefix("kill "))
         return
     node, values = INJECTED[fault]
-    watch.inject(node, fault.rpartition(".")[2], values)
+    cell.watch.inject(node, fault.rpartition(".")[2], values)
 
 
-def follow(run: GraphRun, watch: Watch, fault: str, began: float) -> bool:
-    """Follows a run to its end as an operator would; returns whether it moved while stopped."""
-    moved, cleared = False, fault.startswith("kill ") or fault == "clock_jump"
-    while run.process.poll() is None and time.monotonic() - began < BOUND_S:
-        time.sleep(0.1)
-        status = watch.status
-        waits = status.state == JobStatus.INTERRUPTED and status.sub_state == "waiting"
-        if waits:
-            still = watch.stands(1.0)
-            moved |= not still and watch.status.sub_state == "waiting"
+def follow(cell: ServedCell, job_id: str, fault: str, began: float) -> None:
+    """Follows a job to its end as an operator would, and ends the fault."""
+    watch = cell.watch
+    cleared = fault.startswith("kill ") or fault == "clock_jump"
+    while not (cleared and watch.is_over(job_id)) and time.monotonic() - began < BOUND_S:
+        time.sleep(0.05)
+        waits = watch.waits(job_id)
         if not cleared and (waits or time.monotonic() - began > LASTS_S):
             cleared = end_fault(watch, fault)
-        if waits and cleared and watch.status.sub_state == "waiting":
-            watch.resume("job")
-            time.sleep(0.5)
-    return moved
+        if waits and cleared:
+            time.sleep(LOOKS_S)
+            if watch.waits(job_id):
+                watch.command(job_id, JobCommand.Request.RESUME)
+                time.sleep(0.5)
 
 
 def end_fault(watch: Watch, fault: str) -> bool:
@@ -234,43 +164,76 @@ def end_fault(watch: Watch, fault: str) -> bool:
 
 
 def row(
-    run_folder: Path,
-    run: GraphRun,
-    case: tuple[str, str, int],
-    moved: bool,
-    begin: float,
-    note: str,
+    cell: ServedCell, job_id: str, case: Case, wall_s: float, after_fault_s: float, note: str
 ) -> Row:
-    """Reads what a run left."""
-    path = run_folder / "summary.json"
+    """Reads what a job left."""
+    folder = cell.runs / job_id
+    path = folder / "summary.json"
     summary: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
-    results = [event for event in run.events if event.get("event") == "result"]
-    ended = str(results[-1].get("state", "")) if results else "no result"
-    error = summary.get("error", {})
-    code = str(error.get("code", "")) if error else ""
+    ended = {JobStatus.ENDED: "Ended", JobStatus.ABORTED: "Aborted"}
+    over = cell.watch.is_over(job_id)
+    error = summary.get("error", {}) or {}
     return Row(
-        *case,
-        ended,
-        code,
+        case,
+        ended[cell.watch.status.state] if over else "no result",
+        str(error.get("code", "")),
         float(summary.get("measured", {}).get("area_ratio", np.nan)),
         len(summary.get("interruptions", [])),
-        moved,
-        messages_in(sorted(run_folder.glob("bag*"))),
-        time.monotonic() - begin,
+        cell.watch.moved_while_standing(),
+        messages_in(sorted(folder.glob("bag*"))),
+        wall_s,
+        after_fault_s,
         note or str(error.get("message", "")),
     )
 
 
 def messages_in(bags: Iterable[Path]) -> int:
-    """Counts the messages of all parts of a bag, with a foreign reader; -1 = unreadable."""
+    """Counts the messages of all parts of a bag, with a foreign reader; -1 = not all readable."""
     count = 0
     for bag in bags:
         try:
             with AnyReader([bag]) as reader:
-                count += sum(1 for _ in reader.messages())
+                found = sum(1 for _ in reader.messages())
+                if found != reader.message_count:
+                    return -1
+                count += found
         except Exception:
             return -1
     return count
+
+
+def run_cases(cases: Iterable[Case], seed: int, factor: str, name: str) -> Iterator[Row]:
+    """Runs jobs one after the other in one graph; a new graph after each that is not good.
+
+    A graph goes on after an aborted job, so that the next job shows whether the cell is well.
+    """
+    left = deque(cases)
+    number = 0
+    while left:
+        with tempfile.TemporaryDirectory(prefix=name) as folder:
+            cell = ServedCell(Path(folder), seed, factor, PATIENCE)
+            good = True
+            try:
+                while left and good:
+                    number += 1
+                    found = run_case(cell, f"job-{number}", left.popleft())
+                    good = found.is_good
+                    if not good:
+                        keep(cell, number, seed)
+                    shutil.rmtree(cell.runs / f"job-{number}", ignore_errors=True)
+                    yield found
+            finally:
+                cell.end()
+
+
+def keep(cell: ServedCell, number: int, seed: int) -> None:
+    """Keeps what a job left that is not good."""
+    place = Path(tempfile.gettempdir()) / f"fault_campaign_seed{seed}_job{number}"
+    shutil.rmtree(place, ignore_errors=True)
+    place.mkdir()
+    for folder in (cell.runs / f"job-{number}", cell.runs / "log"):
+        if folder.is_dir():
+            shutil.copytree(folder, place / folder.name, ignore=shutil.ignore_patterns("*.ply"))
 
 
 def main() -> None:
@@ -279,19 +242,20 @@ def main() -> None:
     parser.add_argument("--faults", nargs="*", default=list(FAULTS))
     parser.add_argument("--states", nargs="*", default=list(STATES))
     parser.add_argument("--seeds", nargs="*", type=int, default=[1, 2, 3])
+    parser.add_argument("--time-factor", default=FACTOR)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with given.out.open("a", encoding="utf-8") as table:
         table.write(HEAD + "\n")
-        for fault in given.faults:
-            for state in given.states:
-                for seed in given.seeds:
-                    with tempfile.TemporaryDirectory() as folder:
-                        found = run_case(Path(folder), fault, state, seed)
-                    good = "" if found.is_good else " **bad**"
-                    table.write(f"{found.cells()} {found.note}{good}\n")
-                    table.flush()
+        for seed in given.seeds:
+            cases = [Case(f, s, seed) for f in given.faults for s in given.states]
+            # Faults come in any order: each meets a cell that another one has left.
+            random.Random(seed).shuffle(cases)
+            for found in run_cases(cases, seed, given.time_factor, "fault_campaign"):
+                good = "" if found.is_good else " **bad**"
+                table.write(f"{found.cells()} {found.note}{good}\n")
+                table.flush()
 
 
 if __name__ == "__main__":

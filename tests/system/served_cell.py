@@ -1,0 +1,179 @@
+"""A served graph with somebody beside it, who orders jobs, sees what moves, and does harm."""
+
+import signal
+import time
+from collections import deque
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import yaml
+from diagnostic_msgs.msg import KeyValue
+from nav_msgs.msg import Odometry
+from sensor_msgs.msg import JointState
+from skinplan_msgs.msg import Job, JobStatus, Status
+from skinplan_msgs.srv import InjectFault, JobCommand, JobSubmit
+
+from nodes.bench import Bench
+from nodes.small_part import reference, write_small_part
+from skinplan_nodes.conversions import stamp_from_msg
+from skinplan_nodes.draining import subscribe_draining
+from skinplan_nodes.qos import LATCHED, STATE
+from system.graph_run import GraphRun
+
+OVER = (JobStatus.ENDED, JobStatus.ABORTED)
+#: Sub-states in which a job stands still: nothing may move in them.
+STANDS = ("waiting", "paused", "recovering")
+_STILL_RAD, _STILL_M = 1e-3, 2e-3
+
+
+class Change(NamedTuple):
+    """A change of the job's state; `at_s` is the cell's time."""
+
+    at_s: float
+    job_id: str
+    state: int
+    sub_state: str
+
+
+class Watch:
+    """What somebody beside the cell sees: status, joints and odometry; and what he can do."""
+
+    def __init__(self) -> None:
+        self.bench = Bench()
+        node = self.bench.tester
+        self.status = JobStatus()
+        self._changes: deque[Change] = deque(maxlen=1000)
+        self._poses: deque[tuple[float, np.ndarray]] = deque(maxlen=400_000)
+        self._place = np.zeros(2)
+        node.create_subscription(JobStatus, "job_status", self._on_status, LATCHED)
+        subscribe_draining(node, JointState, "joint_states", self._on_joints, STATE)
+        node.create_subscription(Odometry, "odom", self._on_odometry, STATE)
+
+    def forget(self) -> None:
+        """Begins anew with what was seen."""
+        self._changes.clear()
+        self._poses.clear()
+
+    def motion_while_standing(self) -> tuple[float, float]:
+        """Returns the largest motion of joints [rad] and base [m] in a stretch of `STANDS`.
+
+        Judged by the stamps: what this machine hears late happened before.
+        """
+        changes = list(self._changes)
+        poses = list(self._poses)
+        stamps = np.array([at_s for at_s, _ in poses])
+        joints = base = 0.0
+        for change, following in zip(changes, changes[1:], strict=False):
+            if change.state != JobStatus.INTERRUPTED or change.sub_state not in STANDS:
+                continue
+            inside = (stamps >= change.at_s) & (stamps < following.at_s)
+            if inside.any():
+                spread = np.ptp([poses[i][1] for i in np.flatnonzero(inside)], axis=0)
+                joints, base = max(joints, spread[:6].max()), max(base, spread[6:].max())
+        return joints, base
+
+    def moved_while_standing(self) -> bool:
+        """Whether anything moved that has to stand."""
+        joints, base = self.motion_while_standing()
+        return joints > _STILL_RAD or base > _STILL_M
+
+    def submit(self, job: Job) -> None:
+        """Orders a job."""
+        answer = self.bench.call(JobSubmit, "jobs/submit", JobSubmit.Request(job=job))
+        assert answer.status.code == Status.OK, answer.status.message
+
+    def inject(self, node: str, fault: str, values: dict[str, str]) -> None:
+        """Begins a fault; an empty one ends all of the node."""
+        pairs = [KeyValue(key=key, value=value) for key, value in values.items()]
+        request = InjectFault.Request(fault=fault, values=pairs)
+        answer = self.bench.call(InjectFault, f"{node}/inject_fault", request)
+        assert answer.status.code == Status.OK, answer.status.message
+
+    def command(self, job_id: str, command: int) -> None:
+        """Gives a command to a job."""
+        request = JobCommand.Request(job_id=job_id, command=command)
+        self.bench.call(JobCommand, "jobs/command", request)
+
+    def is_over(self, job_id: str) -> bool:
+        """Whether the job has come to its end."""
+        return self.status.job_id == job_id and self.status.state in OVER
+
+    def waits(self, job_id: str) -> bool:
+        """Whether the job waits for somebody who looks and says RESUME."""
+        status = self.status
+        return bool(
+            status.job_id == job_id
+            and status.state == JobStatus.INTERRUPTED
+            and status.sub_state == "waiting"
+        )
+
+    def _on_status(self, message: JobStatus) -> None:
+        self.status = message
+        at_s = stamp_from_msg(message.header.stamp)
+        change = Change(at_s, message.job_id, message.state, message.sub_state)
+        if not self._changes or self._changes[-1][1:] != change[1:]:
+            self._changes.append(change)
+
+    def _on_joints(self, message: JointState) -> None:
+        pose = np.append(np.array(message.position), self._place)
+        self._poses.append((stamp_from_msg(message.header.stamp), pose))
+
+    def _on_odometry(self, message: Odometry) -> None:
+        place = message.pose.pose.position
+        self._place = np.array([place.x, place.y])
+
+
+class ServedCell:
+    """The whole graph on the mock cell, which takes one job after the other.
+
+    Args:
+        folder: Part, configuration and runs go there.
+        seed: Seed of the mock cell.
+        factor: How much faster than wall time.
+        supervisor: Parameters of the supervisor that differ from the defaults.
+    """
+
+    def __init__(self, folder: Path, seed: int, factor: str, supervisor: dict[str, float]) -> None:
+        self.part = write_small_part(folder, 0.02, (0.3, 0.2))
+        assert self.part.source is not None
+        config = folder / "config"
+        config.mkdir()
+        document = {"/**": {"ros__parameters": supervisor}}
+        (config / "cell_supervisor.yaml").write_text(yaml.safe_dump(document))
+        options = ["--serve", "--time-factor", factor, "--job-id", "cell", "--seed", str(seed)]
+        options += ["--restarts", "20", "--config-folder", str(config)]
+        self.runs = folder / "runs"
+        self.watch = Watch()
+        self.run = GraphRun(self.runs, self.part.source, *options)
+
+    def order(self, job_id: str) -> None:
+        """Orders a job of the small part."""
+        self.watch.forget()
+        self.watch.submit(Job(job_id=job_id, part=reference(self.part)))
+
+    def until(self, job_id: str, state: str, timeout_s: float) -> bool:
+        """Waits for a job's sub-state; False = the job was over, or it took too long."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline and not self.watch.is_over(job_id):
+            assert self.run.process.poll() is None, self.run.errors.read_text()
+            status = self.watch.status
+            if status.job_id == job_id and status.sub_state == state:
+                return True
+            time.sleep(0.01)
+        return False
+
+    def kill(self, node: str) -> None:
+        """Ends a node's process as it dies in the field: without a word."""
+        self.run.node(node).send_signal(signal.SIGKILL)
+
+    def end(self) -> None:
+        """Ends the graph in order, whatever state it is in."""
+        try:
+            if self.run.process.poll() is None:
+                self.run.process.send_signal(signal.SIGINT)
+                self.run.wait(90.0)
+                self.run.wait_gone()
+        finally:
+            self.run.close()
+            self.watch.bench.close()
