@@ -21,6 +21,7 @@ from skinplan_nodes.conversions import (
     pose_stamped_from_msg,
     stamp_from_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
 from skinplan_nodes.mock_parts import SHOP, part_of
 from skinplan_nodes.node import AUTOSTART, CellLifecycleNode
@@ -61,7 +62,7 @@ class MockCamera(CellLifecycleNode):
         self._T_map_workpiece: Array | None = None
         self._images = self.create_publisher(Image, "camera/color/image_raw", IMAGE)
         self._infos = self.create_publisher(CameraInfo, "camera/color/camera_info", IMAGE)
-        self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
+        subscribe_draining(self, PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
         self.create_subscription(
             PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
         )

@@ -28,6 +28,7 @@ from skinplan_nodes.conversions import (
     pose_stamped_to_msg,
     raw_stamp_s,
     scan_frame_to_msg,
+    stamp_from_msg,
 )
 from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.mock_device import FAULTS, DeviceFace, FaultFace
@@ -45,6 +46,9 @@ _SWITCH_OFF_S = 0.3
 _INTERVALS = 16
 # Faults begin and end also while nothing comes from the arm, cell time [s].
 _LOOK_S = 0.2
+# The base tells where it is at least so often; what comes this much later than the joint states is
+# waited for no longer, cell time [s]. So many of its poses are kept.
+_BASE_TICK_S, _BASE_LATE_S, _BASES = 0.1, 1.0, 2000
 HIDDEN, LOST, DROPS_FRAMES = "hidden", "lost", "drops_frames"
 _KINDS = (FaultKind(HIDDEN), FaultKind(LOST), FaultKind(DROPS_FRAMES, {"share": (0.5, 0.0, 1.0)}))
 _REASONS = {
@@ -129,12 +133,14 @@ class MockCtrack(CellNode):
         self._intervals: deque[list[float]] = deque(maxlen=_INTERVALS)
         self._next_s = self._told_s = -math.inf
         self._seen = False
-        self._T_map_base_link: Array | None = None
+        # Where the base truly was, by time; joint states that wait until that is known.
+        self._bases: deque[tuple[float, Array]] = deque(maxlen=_BASES)
+        self._waiting: deque[tuple[float, bytes]] = deque()
         self._place: Array | None = None
         self._points = self.create_publisher(PointCloud2, "scanner/points", STATE)
         self._pose = self.create_publisher(PoseStamped, "tracker/scanner_pose", STATE)
         self._visible = self.create_publisher(Bool, "tracker/visible", STATE)
-        self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
+        subscribe_draining(self, PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
         subscribe_draining(self, JointState, "joint_states", self._on_joint_state, STATE, raw=True)
         self._tracker_face = DeviceFace(self, "tracker")
         self._scanner_face = DeviceFace(
@@ -171,22 +177,47 @@ class MockCtrack(CellNode):
         return any(begin <= stamp_s <= end for begin, end in self._intervals)
 
     def _on_base_pose(self, message: PoseStamped) -> None:
-        self._T_map_base_link = pose_stamped_from_msg(message, "map", "true pose of the base")
+        pose = pose_stamped_from_msg(message, "map", "true pose of the base")
+        self._bases.append((stamp_from_msg(message.header.stamp), pose))
+        self._catch_up(self._waiting[-1][0] if self._waiting else -math.inf)
 
     def _on_joint_state(self, raw: bytes) -> None:
         stamp_s = raw_stamp_s(raw)
         period_s = 1.0 / self.values.rate_hz
         # A millisecond early counts: stamps are rounded.
-        if self._T_map_base_link is None or stamp_s < self._next_s - 1e-3:
-            return
-        self._next_s = (math.floor(stamp_s / period_s + 1e-3) + 1) * period_s
+        if self._bases and stamp_s >= self._next_s - 1e-3:
+            self._next_s = (math.floor(stamp_s / period_s + 1e-3) + 1) * period_s
+            self._waiting.append((stamp_s, raw))
+        self._catch_up(stamp_s)
+
+    def _catch_up(self, now_s: float) -> None:
+        """Takes the frames of which it is known by now where the base stood.
+
+        On a busy machine either of the two topics comes late; a base that has died tells nothing.
+        """
+        while self._waiting:
+            stamp_s, raw = self._waiting[0]
+            known = self._bases[-1][0] >= stamp_s - _BASE_TICK_S
+            if not known and now_s - stamp_s < _BASE_LATE_S:
+                return
+            self._waiting.popleft()
+            self._frame(stamp_s, raw, self._base_at(stamp_s))
+
+    def _base_at(self, stamp_s: float) -> Array:
+        """Returns the base's last pose up to a time; the first one known before that."""
+        for known_s, pose in reversed(self._bases):
+            if known_s <= stamp_s + 1e-3:
+                return pose
+        return self._bases[0][1]
+
+    def _frame(self, stamp_s: float, raw: bytes, T_map_base_link: Array) -> None:
         try:
             message = deserialize_message(raw, JointState)
             joints, _ = joint_state_from_msg(message, self._model.joint_names)
         except SkinplanError as error:
             self.get_logger().warning(str(error))
             return
-        T_map_arm_base = self._T_map_base_link @ self._T_base_link_arm_base
+        T_map_arm_base = T_map_base_link @ self._T_base_link_arm_base
         T_map_scanner = T_map_arm_base @ self._model.forward_scanner(joints[None, :])[0]
         self._place = T_map_scanner[:3, 3]
         self._faults.step(stamp_s, self._place)

@@ -23,6 +23,7 @@ from skinplan_nodes.conversions import (
     pose_stamped_from_msg,
     transform_stamped_to_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.goal_slot import (
     GoalEnd,
     GoalFailure,
@@ -98,7 +99,7 @@ class MockUr5(CellNode):
         self._face = DeviceFace(self, "arm", self._on_stop)
         self._faults = FaultFace(self, _KINDS, self._on_fault, self._on_fault_end)
         # Only where it stands: faults may begin at a place.
-        self.create_subscription(PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
+        subscribe_draining(self, PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
         self.create_timer(self._step_s, self._on_tick)
         self._server = ActionServer(
             self,

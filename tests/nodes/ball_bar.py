@@ -122,7 +122,6 @@ class BallBar:
         random = self._random
         aside = random.normal(0.0, [errors.base_m, errors.base_m, errors.base_rad])
         true = believed @ planar(*aside)
-        self._base.publish(pose_stamped_to_msg(true, "map", self._bench.now_s))
         cloud = MergedCloud(voxel_m=1e-4)
         number = 0
         while number < self._frames:
@@ -133,12 +132,13 @@ class BallBar:
             if self._sight.hindrance(true_q, true @ CELL.T_base_link_arm_base):
                 continue
             number += 1
-            self._frame(true_q, cloud)
+            self._frame(true_q, true, cloud)
         return fit_sphere(cloud.points()[0])
 
-    def _frame(self, q: Array, cloud: MergedCloud) -> None:
+    def _frame(self, q: Array, T_map_base_link: Array, cloud: MergedCloud) -> None:
         bench, before = self._bench, len(self.frames)
         bench.turn_clock()
+        self._base.publish(pose_stamped_to_msg(T_map_base_link, "map", bench.now_s))
         self._joints.publish(joint_state_to_msg(q, None, bench.now_s))
         bench.wait(lambda: len(self.frames) > before)
         frame = scan_frame_from_msg(self.frames[-1])

@@ -1,5 +1,6 @@
 """The mock devices behind the interfaces of the real ones: happy paths and their illegal twins."""
 
+import time
 from pathlib import Path
 from typing import Any
 
@@ -255,6 +256,43 @@ def test_scan_frames_lie_on_the_true_surface(bench: Bench, part_uri: str) -> Non
     near = np.abs(distance - 0.3)
     assert np.median(near) < 5e-4
     assert set(frame.values) == {"intensity", "incidence"}
+
+
+def test_a_frame_is_taken_from_where_the_base_stood_then(bench: Bench, part_uri: str) -> None:
+    """Also when the base's pose comes later than the joint states, as on a busy machine."""
+    part, cell = load_part(Path(part_uri)), CellConfig()
+    bench.start(MockCtrack, part_uri=part_uri, rays=200)
+    poses = bench.collect(PoseStamped, "tracker/scanner_pose", STATE)
+    base = bench.tester.create_publisher(PoseStamped, "truth/base_pose", STATE)
+    arm = bench.tester.create_publisher(JointState, "joint_states", STATE)
+    bench.wait(lambda: base.get_subscription_count() and arm.get_subscription_count())
+    T_map_workpiece = Truth(part, cell, 1).T_map_workpiece
+    mesh = load_mesh(part.mesh_path, part.unit)
+    T_map_base, joints = place_in_view(cell, T_map_workpiece, mesh)
+    elsewhere = planar(0.0, -0.1, 0.0) @ T_map_base
+
+    def stand(T_map_base_link: Array, stamp_s: float) -> None:
+        base.publish(pose_stamped_to_msg(T_map_base_link, "map", stamp_s))
+
+    def seen(stamp_s: float) -> Array:
+        def found() -> list[Any]:
+            return [p for p in poses if abs(stamp_from_msg(p.header.stamp) - stamp_s) < 1e-3]
+
+        return pose_stamped_from_msg(bench.wait(found)[0], "tracker")[:3, 3]
+
+    stand(elsewhere, 1.0)
+    arm.publish(joint_state_to_msg(joints, stamp_s=1.0))
+    before = seen(1.0)
+    for stamp_s in np.arange(1.5, 2.01, 0.1):
+        arm.publish(joint_state_to_msg(joints, stamp_s=float(stamp_s)))
+    time.sleep(0.3)
+    stand(T_map_base, 1.5)
+    stand(T_map_base, 2.0)
+    assert np.linalg.norm(seen(1.5) - before) == pytest.approx(0.1, abs=1e-3)
+    # A base that tells nothing any more holds up nobody for long.
+    for stamp_s in np.arange(3.0, 5.0, 0.1):
+        arm.publish(joint_state_to_msg(joints, stamp_s=float(stamp_s)))
+    assert np.linalg.norm(seen(3.5) - before) == pytest.approx(0.1, abs=1e-3)
 
 
 def place_in_view(

@@ -244,6 +244,15 @@ def test_a_base_that_moved_is_located_again(run: Callable[..., Run]) -> None:
     assert set(job.cell.seen) == set(range(6))
 
 
+def test_a_base_that_stands_badly_drives_to_its_station_again(run: Callable[..., Run]) -> None:
+    job = run().supervise()
+    job.cell.stands_badly = 1
+    summary = job.submit().ended()
+    assert [s["code"] for s in summary["interruptions"]] == [Status.QUALITY_NOT_REACHED]
+    motions = [call for call in job.cell.calls if call in ("drive", "localize")]
+    assert motions[2:6] == ["drive", "localize", "drive", "localize"], "the station's, twice"
+
+
 @pytest.mark.long
 def test_an_arm_goal_that_never_ends_ends_the_job_in_time(run: Callable[..., Run]) -> None:
     job = run().supervise(segment_timeout_s=1.0, resume_attempts_max=1)

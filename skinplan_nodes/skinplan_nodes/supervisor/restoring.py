@@ -13,6 +13,7 @@ from skinplan_nodes.supervisor.faults import (
     DEVICE_REFUSED,
     DEVICE_TIMEOUT,
     NODE_LOST,
+    QUALITY_NOT_REACHED,
     Answer,
     answer_to,
 )
@@ -126,6 +127,8 @@ class Restoring:
             State.INSPECTING: Event.AGAIN_INSPECT,
             State.FINISHING: Event.AGAIN_FINISH,
         }
+        if place.state is State.LOCALIZING and place.plan is not None and self._too_far_off():
+            return Event.AGAIN_DRIVE
         if place.state in regular:
             return regular[place.state]
         self._forget_unsure()
@@ -141,6 +144,13 @@ class Restoring:
             return Event.SCAN if segment.kind == SCAN else Event.MOVE
         self._cut()
         return Event.AGAIN_TRAJECTORY
+
+    def _too_far_off(self) -> bool:
+        """Whether the base stopped where the part can't be located well enough.
+
+        At a station it does not move to locate the part: it has to drive there again.
+        """
+        return any(error.code == QUALITY_NOT_REACHED for error in self._reasons)
 
     def _base_may_have_moved(self) -> bool:
         moved_m = self.steps.cell.base_moved_m()
