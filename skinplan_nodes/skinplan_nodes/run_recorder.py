@@ -141,10 +141,13 @@ class RunRecorder(CellLifecycleNode):
     @replies(invalid=Status.BAG_NOT_WRITABLE)
     def _on_start(self, request: RecorderStart.Request, _: RecorderStart.Response) -> None:
         if self._session is not None:
+            if request.folder and Path(request.folder) == self._session.folder:
+                # Asked again by somebody who has not heard the answer.
+                return
             raise RefusedError(
                 Status.RECORDER_BUSY,
-                f"a bag in {request.folder!r} was asked for while another one is recorded; stop "
-                f"that one first",
+                f"a bag in {request.folder!r} was asked for while {self._session.folder} is "
+                f"recorded; stop that one first",
             )
         order = self._order(request)
         self._session = RecordingSession(self, order, self._group, self._ack)

@@ -87,6 +87,9 @@ class SupervisedCell(Node):
         self.point_count, self.station_count = points, stations
         self.arm, self.base = Arm(), planar(0.0, 0.0, 0.0)
         self.scanner_on, self.scanner_switched_s = False, 0.0
+        # What is recorded, and how long the recorder takes to begin [s].
+        self.recording: Path | None = None
+        self.recorder_s = 0.0
         # So often the part is not located well enough from a station.
         self.stands_badly = 0
         self.base_answers = True
@@ -258,12 +261,20 @@ class SupervisedCell(Node):
     # --- recorder and inspector ---
 
     def _on_record(self, request: Any, response: RecorderStart.Response) -> RecorderStart.Response:
-        self.bags.append(Path(request.folder).name)
+        folder = Path(request.folder)
+        self.bags.append(folder.name)
+        if self.recording not in (None, folder):
+            response.status = Status(code=Status.RECORDER_BUSY, message="another one is recorded")
+            return response
+        self.recording = folder
+        folder.mkdir(parents=True, exist_ok=True)
+        time.sleep(self.recorder_s)
         response.status = _OK
         return response
 
     def _on_recorded(self, _: Any, response: RecorderStop.Response) -> RecorderStop.Response:
         self.calls.append("recorder/stop")
+        self.recording = None
         response.status = _OK
         return response
 

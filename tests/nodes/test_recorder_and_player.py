@@ -127,6 +127,9 @@ def test_recorder_refuses(bench: Bench, tmp_path: Path) -> None:
     assert start_recording(bench, tmp_path / "a").status.code == Status.OK
     second = start_recording(bench, tmp_path / "b")
     assert second.status.code == Status.RECORDER_BUSY
+    assert f"while {tmp_path / 'a'} is recorded" in second.status.message
+    again = start_recording(bench, tmp_path / "a")
+    assert again.status.code == Status.OK, "its answer was not heard, perhaps"
     assert not (tmp_path / "b").exists()
     assert stop_recording(bench).status.code == Status.OK
 

@@ -282,13 +282,30 @@ def test_a_node_that_is_another_process_interrupts_until_it_is_back(
     job.alive = (("nobody", 1), ("scan_inspector", 7), ("run_recorder", 8))
     job.supervise(required_nodes=["nobody", "scan_inspector", "run_recorder"]).submit()
     job.until_scanned(1)
-    job.alive = (("nobody", 1), ("scan_inspector", 9), ("run_recorder", 10))
+    job.alive, job.cell.recording = (
+        (("nobody", 1), ("scan_inspector", 9), ("run_recorder", 10)),
+        None,
+    )
     summary = job.ended()
     assert [s["code"] for s in summary["interruptions"]] == [Status.NODE_LOST]
     assert "scan_inspector" in summary["interruptions"][0]["reason"]
     assert job.cell.inspections == [("frames", False), ("frames", True)]
     assert job.cell.bags == ["bag", "bag-2"], "the recorder was lost, too, but held nothing up"
     assert {0, 1, 2, 3, 4, 5} == set(job.cell.seen)
+
+
+def test_a_bag_whose_begin_was_not_heard_of_is_gone_on_with(run: Callable[..., Run]) -> None:
+    job = run()
+    job.cell.recorder_s = 1.0
+    job.supervise().submit()
+    patiently(lambda: job.cell.bags)
+    job.command(Ask.PAUSE)
+    job.until(JobStatus.INTERRUPTED, "paused")
+    job.cell.recorder_s = 0.0
+    job.command(Ask.RESUME)
+    summary = job.ended()
+    assert set(job.cell.bags) == {"bag"}
+    assert "parts" not in summary["bag"]
 
 
 @pytest.mark.long

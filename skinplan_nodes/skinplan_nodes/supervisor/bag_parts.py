@@ -56,9 +56,9 @@ class BagParts:
             return
         self._end_part()
         part = self.part + 1
-        while self._record.folder.bag(part).exists():
-            part += 1
         try:
+            while self._record.folder.bag(part).exists() and not self._is_recorded(part):
+                part += 1
             self._cell.start_recording(self._record.folder.bag(part), self._metadata)
         except InterruptError:
             raise
@@ -71,6 +71,16 @@ class BagParts:
             raise
         self.part, self._pid, self._open = part, pid, True
         self._record.bag(part, pid, opened=True)
+
+    def _is_recorded(self, part: int) -> bool:
+        """Whether the recorder writes this part: it was asked for, the answer was not heard."""
+        try:
+            self._cell.start_recording(self._record.folder.bag(part), self._metadata)
+        except InterruptError:
+            raise
+        except StepError:
+            return False
+        return True
 
     def tend(self) -> None:
         """Begins another part when the recorder is another process, or can't write this one."""
