@@ -7,18 +7,22 @@ from typing import Any
 from geometry_msgs.msg import PoseStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
-from sensor_msgs.msg import CameraInfo, Image
+from sensor_msgs.msg import CameraInfo, Image, PointCloud2
 
 from skinplan.errors import SkinplanError
 from skinplan.localization.camera import camera_model
+from skinplan.mesh.load import load_mesh
 from skinplan.mock.camera import Image as Picture
 from skinplan.mock.camera import MockCamera as CameraModel
+from skinplan.mock.depth_camera import DepthCamera
 from skinplan.mock.faults import Fault, FaultKind
 from skinplan.transforms import Array, inverse
 from skinplan_nodes.conversions import (
+    ScanFrame,
     camera_info_to_msg,
     image_to_msg,
     pose_stamped_from_msg,
+    scan_frame_to_msg,
     stamp_from_msg,
 )
 from skinplan_nodes.draining import subscribe_draining
@@ -31,6 +35,9 @@ from skinplan_nodes.qos import IMAGE, LATCHED, STATE
 from skinplan_nodes.run import run_node
 
 FRAME = "camera_color_optical_frame"
+DEPTH = "camera/depth/color/points"
+# Depth is made when somebody looks at it; that it is recorded then does not count.
+_RECORDER = "run_recorder"
 FROZEN, DARK, STALE_STAMPS, NO_IMAGES = "frozen", "dark", "stale_stamps", "no_images"
 _KINDS = (
     FaultKind(FROZEN),
@@ -57,12 +64,14 @@ class MockCamera(CellLifecycleNode):
         self._cell, self._part = configured_cell(self.values.cell_file), part_of(self.values)
         self._info = camera_model(self._cell.camera)
         self._camera: CameraModel | None = None
+        self._depth_camera: DepthCamera | None = None
         self._timer: Timer | None = None
         self._base: tuple[float, Array] | None = None
         self._T_map_workpiece: Array | None = None
         self._images = self.create_publisher(Image, "camera/color/image_raw", IMAGE)
         self._infos = self.create_publisher(CameraInfo, "camera/color/camera_info", IMAGE)
         subscribe_draining(self, PoseStamped, "truth/base_pose", self._on_base_pose, STATE)
+        self._clouds = self.create_publisher(PointCloud2, DEPTH, IMAGE)
         self.create_subscription(
             PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
         )
@@ -116,12 +125,28 @@ class MockCamera(CellLifecycleNode):
         if self._face.device.refusal:
             return
         T_map_camera = T_map_base_link @ self._cell.camera.T_base_link_optical
-        image = self._picture(self._camera, inverse(T_map_camera) @ self._T_map_workpiece)
+        T_camera_workpiece = inverse(T_map_camera) @ self._T_map_workpiece
+        image = self._picture(self._camera, T_camera_workpiece)
         stale = self._faults.book.values(STALE_STAMPS)
         if stale is not None:
             stamp_s = max(stamp_s - stale["age"], 0.0)
         self._infos.publish(camera_info_to_msg(self._info, FRAME, stamp_s))
         self._images.publish(image_to_msg(image, FRAME, stamp_s))
+        if self._depth_is_wanted():
+            points = self._depth().cloud(T_camera_workpiece)
+            self._clouds.publish(scan_frame_to_msg(ScanFrame(points, {}, FRAME, stamp_s)))
+
+    def _depth_is_wanted(self) -> bool:
+        if not self._clouds.get_subscription_count():
+            return False
+        listeners = self.get_subscriptions_info_by_topic(self._clouds.topic_name)
+        return any(listener.node_name != _RECORDER for listener in listeners)
+
+    def _depth(self) -> DepthCamera:
+        if self._depth_camera is None:
+            mesh = load_mesh(self._part.mesh_path, self._part.unit)
+            self._depth_camera = DepthCamera(self._cell.camera, mesh, self.values.seed)
+        return self._depth_camera
 
     def _picture(self, camera: CameraModel, T_camera_workpiece: Array) -> Picture:
         if self._last is not None and self._faults.book.values(FROZEN) is not None:

@@ -1,4 +1,4 @@
-"""Node ``part_recognizer``: which part is on the fixture, judged by the points scanned so far."""
+"""Node ``part_recognizer``: which part is on the fixture, by scanned points or a depth camera."""
 
 import sys
 import threading
@@ -11,25 +11,36 @@ from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from sensor_msgs.msg import PointCloud2
 from skinplan_msgs.msg import Status
 from skinplan_msgs.srv import IdentifyPart
+from tf2_msgs.msg import TFMessage
 
 from skinplan.errors import NoCloudError, PartInvalidError, SkinplanError
 from skinplan.inspection.merge import MergedCloud
+from skinplan.mesh.model import SurfaceMesh
+from skinplan.part.model import Part
 from skinplan.recognition.identify import IdentifySettings, identify
-from skinplan_nodes.conversions import pose_stamped_to_msg, scan_frame_from_msg
+from skinplan.recognition.view import Candidate, ViewSettings, describe, fit_view
+from skinplan.transforms import inverse
+from skinplan_nodes.conversions import (
+    part_pose_from_msg,
+    pose_stamped_to_msg,
+    scan_frame_from_msg,
+)
+from skinplan_nodes.depth_views import DepthViews
+from skinplan_nodes.frame_tree import Frames
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import Parameter, load
 from skinplan_nodes.part_cache import PartCache
-from skinplan_nodes.qos import STATE
-from skinplan_nodes.replies import replies_in_thread
+from skinplan_nodes.qos import STATE, STATIC_TF
+from skinplan_nodes.replies import RefusedError, replies_in_thread
 from skinplan_nodes.run import run_node
 
 # The tracker looks at the side that is scanned: its origin is outside of every part.
 _TRACKER = np.zeros(3)
-_DEFAULTS = IdentifySettings()
+_DEFAULTS, _VIEW = IdentifySettings(), ViewSettings()
 
 
 class PartRecognizer(CellNode):
-    """Serves ``identify_part``; collects ``scanner/points``."""
+    """Serves ``identify_part``; collects ``scanner/points``, looks at depth images when asked."""
 
     NAME = "part_recognizer"
     PARAMETERS = (
@@ -57,6 +68,31 @@ class PartRecognizer(CellNode):
             0.0,
             1.0,
         ),
+        Parameter("depth_images", 8, "By so many depth images a part is identified [1].", 1, 100),
+        Parameter(
+            "camera_timeout_s", 15.0, "They are waited for so long, wall time [s].", 0.1, 600.0
+        ),
+        Parameter(
+            "noise_at_1m_m",
+            _VIEW.noise_at_1m_m,
+            "Depth camera: noise of a depth of 1 m; grows with its square [m].",
+            1e-6,
+            0.1,
+        ),
+        Parameter(
+            "tolerance_m",
+            _VIEW.tolerance_m,
+            "Depth camera: it may be off by this over a whole patch [m].",
+            1e-5,
+            0.1,
+        ),
+        Parameter(
+            "seen_ratio_min",
+            _VIEW.seen_ratio_min,
+            "Depth camera: at least this share of the part's area should be seen [1].",
+            0.0,
+            1.0,
+        ),
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -72,6 +108,9 @@ class PartRecognizer(CellNode):
             STATE,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
+        self._frames, self._depth = Frames(), DepthViews(self)
+        for topic, qos in (("tf", STATE), ("tf_static", STATIC_TF)):
+            self.create_subscription(TFMessage, topic, self._on_tf, qos)
         self.create_service(
             IdentifyPart,
             "identify_part",
@@ -102,6 +141,20 @@ class PartRecognizer(CellNode):
         begin = time.perf_counter()
         if not request.candidates:
             raise PartInvalidError("0 candidates were given; at least 1 is accepted")
+        answering = {
+            IdentifyPart.Request.SCANNED: self._by_scan,
+            IdentifyPart.Request.CAMERA: self._by_camera,
+        }.get(request.source)
+        if answering is None:
+            raise RefusedError(
+                Status.REQUEST_INVALID,
+                f"source {request.source} was given; 0 (SCANNED) and 1 (CAMERA) are accepted",
+            )
+        status = answering(request, response)
+        self.set_health("ok", status.message, duration_s=f"{time.perf_counter() - begin:.2f}")
+        return status
+
+    def _by_scan(self, request: IdentifyPart.Request, response: IdentifyPart.Response) -> Status:
         with self._lock:
             points, stamp_s = self._cloud.points()[0].copy(), self._stamp_s
         if len(points) == 0:
@@ -109,18 +162,77 @@ class PartRecognizer(CellNode):
                 "a part was to be identified, but no points have been scanned; a scan that covers "
                 "most of the part is needed"
             )
-        meshes = {
-            str(number): self._parts.prepared(reference)[1].mesh
-            for number, reference in enumerate(request.candidates)
-        }
+        meshes = self._meshes(request)
         found = identify(points, meshes, load(self.values, IdentifySettings), _TRACKER)
-        response.residuals = [found.residuals_m[name] for name in meshes]
+        fits = [found.fits[name] for name in meshes]
+        response.residuals = [fit.residual_m for fit in fits]
+        response.fits = [not fit.reason for fit in fits]
+        response.seen_ratios = [fit.complete_ratio for fit in fits]
         response.index = -1 if found.name is None else int(found.name)
-        self.set_health("ok", found.reason, duration_s=f"{time.perf_counter() - begin:.2f}")
         if found.T_cloud_workpiece is None:
             return Status(code=Status.UNKNOWN_PART, message=found.reason)
         response.pose = pose_stamped_to_msg(found.T_cloud_workpiece, "tracker", stamp_s)
-        return None
+        return Status(code=Status.OK, message=found.reason)
+
+    def _by_camera(self, request: IdentifyPart.Request, response: IdentifyPart.Response) -> Status:
+        if not request.part_pose.header.frame_id:
+            raise RefusedError(
+                Status.REQUEST_INVALID,
+                "source CAMERA was given without part_pose; where the part was located is needed",
+            )
+        located = part_pose_from_msg(request.part_pose)
+        values = self.values
+        candidates = self._candidates(request)
+        seen = self._depth.take(values.depth_images, located.stamp_s, values.camera_timeout_s)
+        T_arm_base_camera = self._frames.lookup("arm_base", seen.frame)
+        T_camera_workpiece = inverse(T_arm_base_camera) @ located.T_arm_base_workpiece
+        # The fixture holds each of them in its own way.
+        first = candidates[0][0].fixture.T_workpiece_fixture
+        placed = {
+            f"{part.id} ({number})": Candidate(
+                mesh, T_camera_workpiece @ first @ inverse(part.fixture.T_workpiece_fixture)
+            )
+            for number, (part, mesh) in enumerate(candidates)
+        }
+        fits = fit_view(seen.points, seen.camera, placed, _view_settings(values))
+        named = dict(zip((part.id for part, _ in candidates), fits.values(), strict=False))
+        response.residuals = [fit.residual_m for fit in fits.values()]
+        response.seen_ratios = [fit.seen_ratio for fit in fits.values()]
+        response.fits = [fit.fits for fit in fits.values()]
+        if not any(fit.is_judged for fit in fits.values()):
+            raise RefusedError(Status.PART_NOT_SEEN, describe(named))
+        good = np.flatnonzero(response.fits)
+        response.index = int(good[0]) if len(good) == 1 else -1
+        if response.index < 0:
+            return Status(code=Status.UNKNOWN_PART, message=describe(named))
+        found = list(fits.values())[response.index].T_camera_workpiece
+        assert found is not None
+        pose = T_arm_base_camera @ found
+        response.pose = pose_stamped_to_msg(pose, "arm_base", seen.stamp_s)
+        return Status(code=Status.OK, message=describe(named))
+
+    def _candidates(self, request: IdentifyPart.Request) -> list[tuple[Part, SurfaceMesh]]:
+        found = []
+        for reference in request.candidates:
+            part, prepared = self._parts.prepared(reference)
+            found.append((part, prepared.mesh))
+        return found
+
+    def _meshes(self, request: IdentifyPart.Request) -> dict[str, SurfaceMesh]:
+        return {str(n): mesh for n, (_, mesh) in enumerate(self._candidates(request))}
+
+    def _on_tf(self, message: TFMessage) -> None:
+        for reason in self._frames.take(message):
+            self.get_logger().warning(reason, throttle_duration_sec=5.0)
+
+
+def _view_settings(values: Any) -> ViewSettings:
+    """The shares of a scan are judged by other bounds than those of a view."""
+    return ViewSettings(
+        noise_at_1m_m=values.noise_at_1m_m,
+        tolerance_m=values.tolerance_m,
+        seen_ratio_min=values.seen_ratio_min,
+    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -16,6 +16,7 @@ from skinplan_msgs.srv import InjectFault, JobCommand, JobSubmit
 
 from nodes.bench import Bench
 from nodes.small_part import reference, write_small_part
+from skinplan.part.model import Part
 from skinplan_nodes.conversions import stamp_from_msg
 from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.qos import LATCHED, STATE
@@ -72,6 +73,12 @@ class Watch:
                 spread = np.ptp([poses[i][1] for i in np.flatnonzero(inside)], axis=0)
                 joints, base = max(joints, spread[:6].max()), max(base, spread[6:].max())
         return joints, base
+
+    def motion(self) -> tuple[float, float]:
+        """Returns the largest motion of joints [rad] and base [m] since `forget`."""
+        poses = [pose for _, pose in list(self._poses)]
+        spread = np.ptp(poses, axis=0) if poses else np.zeros(8)
+        return float(spread[:6].max()), float(spread[6:].max())
 
     def moved_while_standing(self) -> bool:
         """Whether anything moved that has to stand."""
@@ -132,10 +139,18 @@ class ServedCell:
         seed: Seed of the mock cell.
         factor: How much faster than wall time.
         supervisor: Parameters of the supervisor that differ from the defaults.
+        part: What stands in it; None = a very small panel.
     """
 
-    def __init__(self, folder: Path, seed: int, factor: str, supervisor: dict[str, float]) -> None:
-        self.part = write_small_part(folder, 0.02, (0.3, 0.2))
+    def __init__(
+        self,
+        folder: Path,
+        seed: int,
+        factor: str,
+        supervisor: dict[str, float],
+        part: Part | None = None,
+    ) -> None:
+        self.part = part or write_small_part(folder, 0.02, (0.3, 0.2))
         assert self.part.source is not None
         config = folder / "config"
         config.mkdir()
@@ -162,6 +177,14 @@ class ServedCell:
                 return True
             time.sleep(0.01)
         return False
+
+    def until_over(self, job_id: str, timeout_s: float) -> bool:
+        """Waits for a job's end; False = it took too long."""
+        deadline = time.monotonic() + timeout_s
+        while time.monotonic() < deadline and not self.watch.is_over(job_id):
+            assert self.run.process.poll() is None, self.run.errors.read_text()
+            time.sleep(0.02)
+        return self.watch.is_over(job_id)
 
     def kill(self, node: str) -> None:
         """Ends a node's process as it dies in the field: without a word."""

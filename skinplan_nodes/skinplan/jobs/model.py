@@ -72,9 +72,9 @@ class JobRecord:
     Attributes:
         job: The order.
         state: ISA-95 state.
-        sub_state: starting, driving, localizing, planning, moving, scanning, inspecting, closing;
-            while it stands still stopping, paused, waiting, recovering; on its way back restoring;
-            aborting; empty when it is over or has not begun.
+        sub_state: starting, driving, localizing, identifying, planning, moving, scanning,
+            inspecting, closing; while it stands still stopping, paused, waiting, recovering; on its
+            way back restoring; aborting; empty when it is over or has not begun.
         station: Number of the station being worked on, from 1; 0 = none.
         station_count: Stations of the plan; 0 = not planned yet.
         rescan: Number of the re-scan of what was missing, from 1; 0 = first scan.

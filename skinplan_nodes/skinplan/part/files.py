@@ -33,6 +33,9 @@ Units are in the keys; unknown keys are refused.
     inspection:                      # tolerances and characteristics, see
         skinplan.part.inspection_plan; left out: measured, but not judged
       deviation_max_m: 0.0005
+    recognition:                     # whether the cell makes sure that it is this part, see
+        skinplan.part.recognition_plan; left out: it does not
+      check: true
 """
 
 import re
@@ -52,11 +55,16 @@ from skinplan.part.inspection_plan import InspectionPlan, plan_fields, read_plan
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Part, ScanSettings
 from skinplan.part.points_file import read_points, write_points
+from skinplan.part.recognition_plan import (
+    RecognitionPlan,
+    read_recognition,
+    recognition_fields,
+)
 from skinplan.part.settings import read_settings, settings_fields
 from skinplan.transforms import Array
 
 PART_ID = re.compile(r"[A-Za-z0-9_.-]{1,64}")
-PART_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan", "inspection")
+PART_KEYS = ("id", "mesh", "points", "fixture", "placement", "scan", "inspection", "recognition")
 
 
 def load_part(path: Path | str) -> Part:
@@ -106,6 +114,9 @@ def load_part(path: Path | str) -> Part:
         inspection=read_plan(fields.values["inspection"], file.name)
         if fields.has("inspection")
         else InspectionPlan(),
+        recognition=read_recognition(fields.values["recognition"], file.parent, file.name)
+        if fields.has("recognition")
+        else RecognitionPlan(),
     )
 
 
@@ -151,6 +162,11 @@ def save_part(part: Part, path: Path | str) -> Path:
             {}
             if part.inspection == InspectionPlan()
             else {"inspection": plan_fields(part.inspection)}
+        ),
+        **(
+            {}
+            if part.recognition == RecognitionPlan()
+            else {"recognition": recognition_fields(part.recognition)}
         ),
     }
     try:

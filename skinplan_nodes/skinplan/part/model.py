@@ -5,6 +5,7 @@ from pathlib import Path
 
 from skinplan.part.inspection_plan import InspectionPlan
 from skinplan.part.inspection_points import InspectionPoints
+from skinplan.part.recognition_plan import RecognitionPlan
 from skinplan.transforms import Array
 
 
@@ -126,6 +127,7 @@ class Part:
         source: The part file that it came from; None when it was made from a bare mesh.
         points: Points that someone wants measured; None = nobody says which.
         inspection: What it is judged by.
+        recognition: Whether the cell makes sure that it is this part.
     """
 
     id: str
@@ -138,3 +140,4 @@ class Part:
     source: Path | None = None
     points: InspectionPoints | None = None
     inspection: InspectionPlan = field(default_factory=InspectionPlan)
+    recognition: RecognitionPlan = field(default_factory=RecognitionPlan)

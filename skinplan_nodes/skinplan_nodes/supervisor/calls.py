@@ -35,19 +35,26 @@ class Calls:
         self._lock = threading.Lock()
         self._goals: list[tuple[Any, str]] = []
 
-    def service(self, client: Client, request: Any, timeout_s: float, node: str) -> Any:
+    def service(
+        self,
+        client: Client,
+        request: Any,
+        timeout_s: float,
+        node: str,
+        accepted: tuple[int, ...] = (Status.OK,),
+    ) -> Any:
         """Calls a service and returns its response.
 
         Raises:
             InterruptError: Something breaks into it.
-            StepError: No server, no answer in time, or a status that is not OK, with the server's
-                own code.
+            StepError: No server, no answer in time, or a status that is not accepted, with the
+                server's own code.
         """
         what = f"service {client.srv_name}"
         self._wait_server(client.service_is_ready, what, node)
         response = self._waiter.wall(client.call_async(request), timeout_s, what, node)
         status = getattr(response, "status", None)
-        if status is not None and status.code != Status.OK:
+        if status is not None and status.code not in accepted:
             raise StepError(status.code, _text(status), node)
         return response
 

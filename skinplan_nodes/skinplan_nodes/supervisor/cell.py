@@ -11,6 +11,7 @@ from skinplan.stations.model import StationPlan
 from skinplan.trajectory.model import Segment, StationTrajectory
 from skinplan.transforms import Array
 from skinplan_nodes.supervisor.control import StepError
+from skinplan_nodes.supervisor.identification import Identified
 from skinplan_nodes.supervisor.run_data import PlannedPath
 
 
@@ -74,6 +75,19 @@ class Planners(Protocol):
         """Returns a trajectory from disk."""
 
 
+class Recognizer(Protocol):
+    """What a job asks of the recognizer; waits and errors as of `Cell`."""
+
+    def identify(self, job: Job, others: tuple[Path, ...], located: Located) -> Identified:
+        """Says which part stands where the job's was located.
+
+        Args:
+            job: The job.
+            others: Part files of what else may stand there.
+            located: Where.
+        """
+
+
 class Cell(Protocol):
     """What a job asks of the cell.
 
@@ -82,9 +96,11 @@ class Cell(Protocol):
 
     Attributes:
         planners: The planners.
+        recognizer: The recognizer.
     """
 
     planners: Planners
+    recognizer: Recognizer
 
     def wait_ready(self) -> None:
         """Waits until all nodes that a job needs are alive and the cell's time runs."""
@@ -115,8 +131,15 @@ class Cell(Protocol):
     def drive(self, T_map_base_link: Array) -> None:
         """Drives the base to a pose."""
 
-    def localize(self, job: Job, may_move: bool) -> Located:
-        """Locates the part."""
+    def localize(self, job: Job, may_move: bool, new_place: bool, quality: float = 0.0) -> Located:
+        """Locates the part.
+
+        Args:
+            job: The job.
+            may_move: The base may come nearer.
+            new_place: The part may stand elsewhere than when it was located last.
+            quality: T_E of eq (3); 0 = the cell's.
+        """
 
     def base_moved_m(self) -> float:
         """Returns how far the base is from where it located the part; NaN = not known [m]."""

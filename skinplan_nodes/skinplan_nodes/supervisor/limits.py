@@ -20,6 +20,7 @@ class Limits:
 
     starting_s: float
     driving_s: float
+    identifying_s: float
     localizing_s: float
     planning_s: float
     segment_s: float
@@ -36,6 +37,7 @@ class Limits:
         return cls(
             starting_s=values.start_timeout_s + values.planning_timeout_s + _SLACK_S,
             driving_s=values.drive_timeout_s + _SLACK_S,
+            identifying_s=values.localize_timeout_s + values.planning_timeout_s + _SLACK_S,
             localizing_s=values.localize_timeout_s + _SLACK_S,
             planning_s=values.planning_timeout_s + _SLACK_S,
             segment_s=values.segment_timeout_s,

@@ -17,6 +17,7 @@ class State(StrEnum):
 
     STARTING = "starting"
     DRIVING = "driving"
+    IDENTIFYING = "identifying"
     LOCALIZING = "localizing"
     PLANNING_PATH = "planning_path"
     PLANNING_STATIONS = "planning_stations"
@@ -46,6 +47,7 @@ class Event(StrEnum):
     NEXT_STATION = "next station"
     ALL_SCANNED = "all scanned"
     AT_STATION = "at a station"
+    TO_BE_CHECKED = "part to be checked"
     MISSING = "area missing"
     COMPLETE = "complete"
     # Where a stopped job waits.
@@ -57,6 +59,7 @@ class Event(StrEnum):
     AGAIN_START = "back to start"
     AGAIN_DRIVE = "back to drive"
     AGAIN_LOCALIZE = "back to localize"
+    AGAIN_IDENTIFY = "back to identify"
     AGAIN_PATH = "back to path"
     AGAIN_STATIONS = "back to stations"
     AGAIN_TRAJECTORY = "back to trajectory"
@@ -89,6 +92,7 @@ FINAL = (State.ENDED, State.ABORTED)
 WORKING = (
     State.STARTING,
     State.DRIVING,
+    State.IDENTIFYING,
     State.LOCALIZING,
     State.PLANNING_PATH,
     State.PLANNING_STATIONS,
@@ -127,7 +131,8 @@ def _table() -> Table:
     return (
         found
         | _on(State.STARTING, DONE=State.DRIVING)
-        | _on(State.DRIVING, DONE=State.LOCALIZING)
+        | _on(State.DRIVING, DONE=State.LOCALIZING, TO_BE_CHECKED=State.IDENTIFYING)
+        | _on(State.IDENTIFYING, DONE=State.LOCALIZING)
         | _on(State.LOCALIZING, DONE=State.PLANNING_PATH, AT_STATION=State.PLANNING_TRAJECTORY)
         | _on(State.PLANNING_PATH, DONE=State.PLANNING_STATIONS, COMPLETE=State.FINISHING)
         | _on(State.PLANNING_STATIONS, DONE=State.DRIVING, COMPLETE=State.FINISHING)
@@ -146,6 +151,7 @@ def _restoring() -> Table:
         AGAIN_START=State.STARTING,
         AGAIN_DRIVE=State.DRIVING,
         AGAIN_LOCALIZE=State.LOCALIZING,
+        AGAIN_IDENTIFY=State.IDENTIFYING,
         AGAIN_PATH=State.PLANNING_PATH,
         AGAIN_STATIONS=State.PLANNING_STATIONS,
         AGAIN_TRAJECTORY=State.PLANNING_TRAJECTORY,
@@ -197,6 +203,7 @@ TABLE: Table = _table()
 LIMITS: dict[State, tuple[str, str]] = {
     State.STARTING: ("starting_s", "wall"),
     State.DRIVING: ("driving_s", "cell"),
+    State.IDENTIFYING: ("identifying_s", "wall"),
     State.LOCALIZING: ("localizing_s", "cell"),
     State.PLANNING_PATH: ("planning_s", "wall"),
     State.PLANNING_STATIONS: ("planning_s", "wall"),

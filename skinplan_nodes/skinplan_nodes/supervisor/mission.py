@@ -92,6 +92,7 @@ class Mission:
             State.STARTING: steps.starting,
             State.DRIVING: steps.driving,
             State.LOCALIZING: steps.localizing,
+            State.IDENTIFYING: steps.identifying,
             State.PLANNING_PATH: steps.planning_path,
             State.PLANNING_STATIONS: steps.planning_stations,
             State.PLANNING_TRAJECTORY: steps.planning_trajectory,

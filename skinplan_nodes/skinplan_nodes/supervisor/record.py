@@ -9,6 +9,7 @@ from skinplan.plan_record import scan_path_hash, station_hash, trajectory_hash
 from skinplan.stations.model import StationPlan
 from skinplan.trajectory.model import StationTrajectory
 from skinplan_nodes.supervisor.cell import Cell, Located
+from skinplan_nodes.supervisor.identification import Identified
 from skinplan_nodes.supervisor.journal import Journal
 from skinplan_nodes.supervisor.machine import Event, State
 from skinplan_nodes.supervisor.place import Place
@@ -104,6 +105,12 @@ class RunRecord:
         self.folder.note(
             f"station {station}: part located, E = {found.quality:.3f}, attempt {found.attempts}"
         )
+
+    def identified(self, found: Identified) -> None:
+        """Takes in which part stands on the fixture."""
+        self.data.identification = found.document()
+        self._journal.add("identified", **found.document())
+        self.folder.note(f"on the fixture: {found.text}")
 
     def trajectory(
         self, whole: StationTrajectory, done: int, points: int, spent_s: float, n: int

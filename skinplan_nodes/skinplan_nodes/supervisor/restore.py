@@ -15,6 +15,7 @@ from skinplan.plan_record import scan_path_hash, station_hash, trajectory_hash
 from skinplan.transforms import Array
 from skinplan_nodes.supervisor.cell import Cell, Located
 from skinplan_nodes.supervisor.faults import Interruption
+from skinplan_nodes.supervisor.identification import IDENTIFICATION_KEYS
 from skinplan_nodes.supervisor.journal import Entry, JournalError, read_journal, read_stored
 from skinplan_nodes.supervisor.machine import WORKING, State
 from skinplan_nodes.supervisor.place import Place
@@ -139,6 +140,9 @@ class _Reader:
                 place.located = None
             place.state, place.station = state, values["station"]
             place.segment = values["segment"]
+
+    def _identified(self, values: dict[str, Any]) -> None:
+        self._found.data.identification = {key: values[key] for key in IDENTIFICATION_KEYS}
 
     def _path(self, values: dict[str, Any]) -> None:
         planned = self._cell.planners.restore_path(read_stored(self._folder, values))

@@ -122,6 +122,7 @@ class Restoring:
             State.STARTING: Event.AGAIN_START,
             State.DRIVING: Event.AGAIN_DRIVE,
             State.LOCALIZING: Event.AGAIN_LOCALIZE,
+            State.IDENTIFYING: Event.AGAIN_IDENTIFY,
             State.PLANNING_PATH: Event.AGAIN_PATH,
             State.PLANNING_STATIONS: Event.AGAIN_STATIONS,
             State.INSPECTING: Event.AGAIN_INSPECT,

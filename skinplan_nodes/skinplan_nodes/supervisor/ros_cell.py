@@ -37,6 +37,7 @@ from skinplan_nodes.supervisor.control import Request, StepError
 from skinplan_nodes.supervisor.devices import Devices
 from skinplan_nodes.supervisor.motion import Motion, distance_m
 from skinplan_nodes.supervisor.ros_planners import RosPlanners
+from skinplan_nodes.supervisor.ros_recognizer import RosRecognizer
 from skinplan_nodes.supervisor.waiting import Waiter
 from skinplan_nodes.supervisor.watch import NodeWatch
 
@@ -62,6 +63,7 @@ class RosCell:
     Attributes:
         waiter: Waits for what the job's thread waits for.
         planners: The planners.
+        recognizer: The recognizer.
         inspected: Figures of the last inspection.
     """
 
@@ -88,6 +90,7 @@ class RosCell:
             for kind, name in _SERVICES.items()
         }
         self.planners = RosPlanners(node, self._calls, values, self._motion.joint_state, group)
+        self.recognizer = RosRecognizer(node, self._calls, values, group)
         self._actions = {
             kind: ThreadedActionClient(node, kind, name, callback_group=group)
             for kind, name in _ACTIONS.items()
@@ -190,10 +193,14 @@ class RosCell:
             code = Status.BASE_REFUSED if result.error_code else Status.BASE_BLOCKED
             raise StepError(code, f"the base did not arrive: {result.error_msg}", _BASE)
 
-    def localize(self, job: Job, may_move: bool) -> Located:
+    def localize(self, job: Job, may_move: bool, new_place: bool, quality: float = 0.0) -> Located:
         """Locates the part."""
-        # A job's first look is the one that may move; between its stations the part stands still.
-        goal = LocalizePart.Goal(part=part_reference(job), may_move=may_move, new_place=may_move)
+        goal = LocalizePart.Goal(
+            part=part_reference(job),
+            may_move=may_move,
+            new_place=new_place,
+            quality_threshold=quality,
+        )
         result, reached = self._act(
             LocalizePart, goal, self._values.localize_timeout_s, "aruco_localizer"
         )

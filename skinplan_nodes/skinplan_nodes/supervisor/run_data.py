@@ -134,6 +134,7 @@ class RunData:
     Attributes:
         rounds: The first scan and its re-scans.
         localizations: In the order of time.
+        identification: Which part stands on the fixture; empty = it was not checked.
         planning_s: Wall time of the planning stages of the first scan [s].
         timed: What the trajectories of the first scan see, by the certificate.
         measured: Figures of the inspection.
@@ -144,6 +145,7 @@ class RunData:
 
     rounds: list[Round] = field(default_factory=lambda: [Round()])
     localizations: list[Localization] = field(default_factory=list)
+    identification: dict[str, Any] = field(default_factory=dict)
     planning_s: dict[str, float] = field(default_factory=dict)
     timed: TimedCoverage | None = None
     measured: dict[str, Any] = field(default_factory=dict)
@@ -188,6 +190,7 @@ class RunData:
         document["rescans"] = [entry.document() for entry in self.rounds[1:]]
         document["interruptions"] = [asdict(entry) for entry in self.interruptions]
         for key, figures in (
+            ("identification", self.identification),
             ("measured", self._measured()),
             ("bag", self.bag),
             ("timing_s", self.timing_s),

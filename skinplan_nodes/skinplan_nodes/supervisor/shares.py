@@ -10,6 +10,7 @@ _STATIONS_BEGIN, _STATIONS_SHARE = 0.12, 0.82
 _FIRST = {
     State.STARTING: 0.0,
     State.DRIVING: 0.01,
+    State.IDENTIFYING: 0.02,
     State.LOCALIZING: 0.03,
     State.PLANNING_PATH: 0.06,
     State.PLANNING_STATIONS: 0.09,
@@ -24,6 +25,7 @@ _MOTION_BEGIN = 0.2
 _STEPS = {
     State.STARTING: 1,
     State.DRIVING: 2,
+    State.IDENTIFYING: 3,
     State.LOCALIZING: 3,
     State.PLANNING_PATH: 4,
     State.PLANNING_STATIONS: 5,

@@ -1,9 +1,9 @@
 """What a job does in each of its working states, in the order of the paper's Fig. 19.
 
-drive to the work position -> localise (approach until E >= T_E) -> scan path, stations -> for every
-station: drive, localise, trajectory, scan -> merge and inspect -> what is missing is planned and
-scanned again -> close the bag. Every step returns the event that `machine` goes on by. Needs no
-ROS: `Cell` is the wall.
+drive to the work position -> identify the part where its file asks for it -> localise (approach
+until E >= T_E) -> scan path, stations -> for every station: drive, localise, trajectory, scan ->
+merge and inspect -> what is missing is planned and scanned again -> close the bag. Every step
+returns the event that `machine` goes on by. Needs no ROS: `Cell` is the wall.
 """
 
 import math
@@ -13,6 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from skinplan.jobs.model import Job
+from skinplan.part.recognition_plan import RecognitionPlan
 from skinplan.robot.cell import CellConfig
 from skinplan.trajectory.model import SCAN, Segment, StationTrajectory
 from skinplan_nodes.supervisor import reentry
@@ -32,6 +33,8 @@ _NOTHING_TO_RESCAN = (_NOTHING_MISSING, _NO_CANDIDATES, _NOTHING_REACHED, _NO_TR
 _NOTHING_MEASURED = (_NO_CLOUD, _ALIGNMENT_FAILED)
 # The arm stands in its home position within this, largest difference of a joint [rad].
 _AT_HOME_RAD = 0.02
+# E of eq (3) that says well enough where the part lies to be compared with what the camera sees.
+_ROUGH = 0.05
 
 
 @dataclass(frozen=True)
@@ -59,6 +62,7 @@ class Steps:
         record: Keeps what was found and done.
         bag: Parts of the bag.
         rescans: When what is missing is scanned again.
+        recognition: Whether the part is identified before it is measured.
         place: Where in its plan the job is.
         progress: How far it is.
         stopped: The job was told to stop: what was measured is its result.
@@ -71,6 +75,7 @@ class Steps:
     record: RunRecord
     bag: BagParts
     rescans: RescanSettings
+    recognition: RecognitionPlan = RecognitionPlan()
     place: Place = field(default_factory=Place)
     progress: Progress = field(default_factory=Progress)
     stopped: bool = False
@@ -92,18 +97,32 @@ class Steps:
         place.trajectory, place.segment, place.rest, place.located = None, 0, None, None
         goal = self.config.T_map_work if place.plan is None else place.here.T_map_base_link
         self.cell.drive(goal)
-        return Event.DONE
+        to_check = self.recognition.check and not self.record.data.identification
+        return Event.TO_BE_CHECKED if place.plan is None and to_check else Event.DONE
 
     def localizing(self) -> Event:
         """Locates the part."""
         place = self.place
         at_work = place.plan is None
-        found = self.cell.localize(self.job, may_move=at_work)
+        # A job's first look is the one that may move; between its stations the part stands still.
+        found = self.cell.localize(self.job, may_move=at_work, new_place=at_work)
         place.located = found
         self.record.located(place.station, found)
         if not at_work:
             return Event.AT_STATION
         place.T_map_workpiece = found.T_map_workpiece
+        return Event.DONE
+
+    def identifying(self) -> Event:
+        """Makes sure that the part on the fixture is the job's, before the base comes nearer.
+
+        From the work position the camera sees most of the part, and its markers well enough to
+        know how it lies.
+        """
+        rough = self.cell.localize(self.job, may_move=False, new_place=True, quality=_ROUGH)
+        found = self.cell.recognizer.identify(self.job, self.recognition.others, rough)
+        self.record.identified(found)
+        found.require()
         return Event.DONE
 
     def planning_path(self) -> Event:

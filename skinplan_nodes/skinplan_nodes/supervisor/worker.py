@@ -197,7 +197,16 @@ class JobWorker:
             record.began(job, part, file_sha256(part_file))
         bag = BagParts(self.cell, record, _metadata(job, part), settings.needs_recorder)
         bag.restore(found.bag_part, found.recorder_pid, found.bag_open)
-        steps = Steps(job, self.config, self.cell, record, bag, settings.rescans, found.place)
+        steps = Steps(
+            job,
+            self.config,
+            self.cell,
+            record,
+            bag,
+            settings.rescans,
+            part.recognition,
+            found.place,
+        )
         steps.left = self._left[-1] if self._left else None
         self._left[:] = [steps.place]
         if found.place.plan is not None:
