@@ -102,7 +102,7 @@ def test_path_is_the_library_s(bench: Bench, part: Part, path: messages.ScanPath
     assert latched[-1].plan_hash == path.plan_hash
 
 
-@pytest.mark.parametrize("strategy", ["published", "coverage"])
+@pytest.mark.parametrize("strategy", ["published", "coverage", "patches"])
 def test_service_and_library_have_one_hash(bench: Bench, part: Part, strategy: str) -> None:
     request = PlanScanPath.Request(part=reference(part), strategy=strategy)
     answer = bench.call(PlanScanPath, "plan_scan_path", request)

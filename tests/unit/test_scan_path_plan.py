@@ -140,7 +140,7 @@ def test_a_given_row_direction_is_kept():
         assert np.ptp(path.targets[path.groups == row, 0]) < 1e-6
 
 
-@pytest.mark.parametrize("name", ["patches", "publshed", ""])
+@pytest.mark.parametrize("name", ["patch", "publshed", ""])
 def test_strategies_that_are_not_there(name):
     mesh = grid(0.5, 0.5, 0.05)
     with pytest.raises(StrategyUnknownError, match="published"):

@@ -80,6 +80,14 @@ class ScanSettings:
         field_margin_m: ... and so far inside field of view and range [m].
         optimise_passes: Whether depth and angles of the passes are optimised (T S3) before stations
             and trajectories are planned; a re-scan is left as it is.
+        patch_angle_rad: Strategy ``patches``: a patch holds the facets whose normals are at most so
+            far from its mean normal [rad].
+        footprint_m: Strategy ``patches``: width of the strip that one row of the scanner or tool
+            treats [m]; None = the whole field of view, twice r_f.
+        tool_tilt_rad: Strategy ``patches``: the scanner or tool leans so far from the normal of the
+            patch toward the direction of the rows [rad].
+        merge_gap_m: Strategy ``patches``: rows of patches and parts at most so far apart are made
+            one where that saves turns [m]; 0 = each patch keeps its own rows.
     """
 
     strategy: str = "coverage"
@@ -104,6 +112,10 @@ class ScanSettings:
     incidence_margin_rad: float = 0.05235987755982988
     field_margin_m: float = 0.005
     optimise_passes: bool = False
+    patch_angle_rad: float = 0.4363323129985824
+    footprint_m: float | None = None
+    tool_tilt_rad: float = 0.0
+    merge_gap_m: float = 0.2
 
     @property
     def row_interval_m(self) -> float:

@@ -38,6 +38,10 @@ _NUMBERS = {
     "tour_effort_s": _Bound(0.0, 600.0, "s"),
     "incidence_margin_rad": _Bound(0.0, 0.5, "rad"),
     "field_margin_m": _Bound(0.0, 0.5, "m"),
+    "patch_angle_rad": _Bound(0.05, 1.4, "rad"),
+    "footprint_m": _Bound(0.005, 4.0, "m"),
+    "tool_tilt_rad": _Bound(-math.pi / 3, math.pi / 3, "rad"),
+    "merge_gap_m": _Bound(0.0, 2.0, "m"),
 }
 _FIELDS_OF_VIEW = ("cylinder", "cone")
 _MOST_VIEWS = 1000
@@ -147,4 +151,30 @@ def _check_together(settings: ScanSettings, fields: Fields) -> None:
             "clearance_m",
             f"{settings.clearance_m:g}",
             f"less than standoff_m, {settings.standoff_m:g}",
+        )
+    if settings.strategy == "patches":
+        _check_patches(settings, fields)
+
+
+def _check_patches(settings: ScanSettings, fields: Fields) -> None:
+    """What the other strategies do not read is not held against them."""
+    widest = 2.0 * settings.field_radius_m
+    if settings.footprint_m is not None and settings.footprint_m > widest:
+        raise fields.error(
+            "footprint_m",
+            f"{settings.footprint_m:g}",
+            f"at most twice field_radius_m, {widest:g}: rows farther apart leave strips",
+        )
+    tilt, limit = abs(settings.tool_tilt_rad), settings.incidence_max_rad
+    if tilt >= limit:
+        raise fields.error(
+            "tool_tilt_rad",
+            f"{settings.tool_tilt_rad:g}",
+            f"less than incidence_max_rad, {limit:g}, to either side",
+        )
+    if settings.patch_angle_rad + tilt > limit:
+        raise fields.error(
+            "patch_angle_rad",
+            f"{settings.patch_angle_rad:g}",
+            f"at most incidence_max_rad less the tilt of the tool, {limit - tilt:g}",
         )

@@ -12,6 +12,7 @@ from skinplan.part.settings import check_settings
 from skinplan.scan_path import published
 from skinplan.scan_path.coverage import coverage_path
 from skinplan.scan_path.model import ScanPath
+from skinplan.scan_path.patches import patches_path
 from skinplan.scan_path.points import points_path
 from skinplan.strategies import chosen
 
@@ -28,6 +29,7 @@ def _of_surface(
 STRATEGIES: dict[str, Strategy] = {
     "coverage": _of_surface(coverage_path),
     "published": _of_surface(published.published_path),
+    "patches": _of_surface(patches_path),
     "points": points_path,
 }
 
