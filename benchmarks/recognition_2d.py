@@ -141,10 +141,10 @@ def _upright(canvas: Image, finding: TrayFinding, view: TrayView) -> Image:
         top = view.pixels(each.blob.corners)
         x, y = int(top[:, 0].mean()), int(height - 1 - top[:, 1].max()) - 12
         text = f"{each.label}, {1e4 * each.blob.area_m2:.0f} cm2, {each.blob.aspect:.2f}"
-        wide = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.75, 2)[0][0]
+        wide = cv2.getTextSize(text, cv2.FONT_HERSHEY_SIMPLEX, 0.58, 2)[0][0]
         place = (int(np.clip(x - wide // 2, 4, width - wide - 4)), max(y, 24))
         cv2.putText(
-            turned, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.75, (255, 255, 255), 2, cv2.LINE_AA
+            turned, text, place, cv2.FONT_HERSHEY_SIMPLEX, 0.58, (255, 255, 255), 2, cv2.LINE_AA
         )
     return turned
 

@@ -6,7 +6,7 @@ Types that look alike there share a class; none is guessed.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import trimesh
@@ -169,18 +169,21 @@ class Classifier:
         return Sighting(blob, (), deviation, blob.centre, answer)
 
     def _ranked(self, looks: Sequence[Look]) -> list[Look]:
-        """The best look of each type, the best type first.
+        """The types, each with its least deviation, the best first.
 
-        The figures say which types it may be; of the ways that a type may lie, the one whose
-        outline covers that of the blob best is taken.
+        The figures say which types it may be; where a type lies is said by the way to lie whose
+        outline covers that of the blob best.
         """
-        best: dict[str, tuple[float, float, Look]] = {}
+        by_type: dict[str, list[Look]] = {}
         for look in looks:
-            fits = look.deviation <= self.settings.deviation_max
-            key = (0.0 if fits else look.deviation, look.apart, look)
-            if look.name not in best or key[:2] < best[look.name][:2]:
-                best[look.name] = key
-        chosen = [look for _, _, look in best.values()]
+            by_type.setdefault(look.name, []).append(look)
+        chosen = [
+            replace(
+                min(ways, key=lambda look: round(look.apart, 6)),
+                deviation=min(look.deviation for look in ways),
+            )
+            for ways in by_type.values()
+        ]
         return sorted(chosen, key=lambda look: round(look.deviation, 9))
 
 
