@@ -203,7 +203,8 @@ class ScanInspector(CellNode):
             before = self._received
             time.sleep(_WAIT_S)
             intake = self._intake
-            waiting = intake is not None and intake.waiting > 0
+            with self._lock:
+                waiting = intake is not None and (intake.waiting > 0 or intake.needs_joints)
             late = self._seen and _LATE_S < asked_s - self._tracks.newest_s() < _LOST_S
             if self._received == before and not waiting and not late:
                 return

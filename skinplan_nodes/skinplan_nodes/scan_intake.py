@@ -67,6 +67,14 @@ class ScanIntake:
         """Number of frames that the part's place has not been estimated at yet."""
         return len(self._unplaced)
 
+    @property
+    def needs_joints(self) -> bool:
+        """Whether nobody knows where the part stands, and joint states under way may tell."""
+        if not self._unplaced or self.session.is_placed:
+            return False
+        stamp_s = self._unplaced[0]
+        return not self._tracks.joints_passed(stamp_s) and self._tracks.joints(stamp_s) is None
+
     def offer(self, frame: ScanFrame, now_s: float) -> str:
         """Takes a frame in, to be placed as soon as its scanner pose is known.
 

@@ -154,6 +154,12 @@ class ScanSession:
             self._hidden += 1
             self._keep(HiddenRecord())
 
+    @property
+    def is_placed(self) -> bool:
+        """Whether it is known where the part stands in the tracker frame."""
+        with self._lock:
+            return self._coarse.estimate() is not None
+
     def add_coarse(self, stand: float, T_tracker_workpiece: Array) -> None:
         """Takes an estimate of the part's pose in, see `CoarsePose`."""
         with self._lock:

@@ -67,6 +67,10 @@ class Tracks:
         """Tells whether no pose of that time will come any more: much later ones are there."""
         return bool(self._poses) and self._poses[-1][0] > stamp_s + _DISORDER_S
 
+    def joints_passed(self, stamp_s: float) -> bool:
+        """Tells whether no joint positions of that time will come any more."""
+        return bool(self._joints) and self._joints[-1][0] > stamp_s + _DISORDER_S
+
     def joints(self, stamp_s: float) -> Array | None:
         """Returns the joint positions at a time, linear between two; None = not known."""
         after: tuple[float, bytes] | None = None

@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import threading
 from contextlib import closing
 from pathlib import Path
 from typing import Any
@@ -108,6 +109,11 @@ class Scan:
         T = self._scanner()
         self._points.publish(scan_frame_to_msg(self.frame(points, stamp_s, frame)))
         self._pose.publish(pose_stamped_to_msg(T, "tracker", stamp_s))
+
+    def publish_joints(self, stamps: list[float]) -> None:
+        """Publishes joint states at these times."""
+        for stamp_s in stamps:
+            self._joints.publish(joint_state_to_msg(Q, None, stamp_s))
 
     def publish_pose(self, stamp_s: float) -> None:
         """Publishes the scanner's pose alone: nothing is scanned."""
@@ -442,6 +448,21 @@ def test_a_clock_that_is_set_back_is_named_and_costs_no_frame(bench: Bench, part
     scan.publish(scan.points[:100], 3.0)
     bench.wait(lambda: inspector.health_values().get("frames_stale") == 1, turning=True)
     assert coverage[-1].frames == 3
+
+
+def test_joint_states_that_come_late_are_waited_for(bench: Bench, part: Part) -> None:
+    scan, coverage = start_scan(bench, part, np.eye(4))
+    stamps = [2.0 + 0.1 * number for number in range(20)]
+    for stamp_s, chosen in zip(
+        stamps, np.array_split(np.arange(len(scan.points)), 20), strict=True
+    ):
+        scan.publish_cloud(scan_frame_to_msg(scan.frame(scan.points[chosen], stamp_s)))
+    bench.wait(lambda: coverage[-1].frames == 20, turning=True)
+    late = threading.Timer(1.0, scan.publish_joints, [stamps])
+    late.start()
+    answer = finish(bench, scan=scan)
+    late.join()
+    assert (answer.status.code, answer.status.message) == (Status.OK, "")
 
 
 def test_a_scan_without_localisation_keeps_its_cloud(
