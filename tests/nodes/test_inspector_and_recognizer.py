@@ -453,9 +453,8 @@ def test_a_clock_that_is_set_back_is_named_and_costs_no_frame(bench: Bench, part
 def test_joint_states_that_come_late_are_waited_for(bench: Bench, part: Part) -> None:
     scan, coverage = start_scan(bench, part, np.eye(4))
     stamps = [2.0 + 0.1 * number for number in range(20)]
-    for stamp_s, chosen in zip(
-        stamps, np.array_split(np.arange(len(scan.points)), 20), strict=True
-    ):
+    pieces = np.array_split(np.arange(len(scan.points)), 20)
+    for stamp_s, chosen in zip(stamps, pieces, strict=True):
         scan.publish_cloud(scan_frame_to_msg(scan.frame(scan.points[chosen], stamp_s)))
     bench.wait(lambda: coverage[-1].frames == 20, turning=True)
     late = threading.Timer(1.0, scan.publish_joints, [stamps])
