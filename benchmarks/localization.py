@@ -152,9 +152,9 @@ def base_at(x: float, distance: float, angle: float, turn: float) -> Array:
 
 
 def camera_of(condition: str, seed: int = 0) -> MockCamera:
-    """Returns a camera under one of the conditions, finely sampled."""
+    """Returns a camera under one of the conditions."""
     blur, noise, light = CONDITIONS[condition]
-    return MockCamera(CELL.camera, FIXTURE, seed, blur, noise, light, samples=6)
+    return MockCamera(CELL.camera, FIXTURE, seed, blur, noise, light)
 
 
 def grid(poses: int) -> dict[tuple[float, int], Tally]:

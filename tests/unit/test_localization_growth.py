@@ -6,7 +6,8 @@ import pytest
 
 from localization_scene import CAMERA, CELL, base_facing, camera_pose, row_fixture, true_corners
 from skinplan.localization.detect import MarkerDetector, dictionary_of
-from skinplan.localization.edges import intersections, refine_corners
+from skinplan.localization.edge_lines import intersections
+from skinplan.localization.edges import refine_corners
 from skinplan.localization.growth import common_growth, drawn_in, edge_growth
 from skinplan.mock.camera import MockCamera
 

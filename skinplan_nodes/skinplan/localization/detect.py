@@ -136,8 +136,9 @@ class MarkerDetector:
             numbers, mirrored = own[numbers], {int(own[number]) for number in mirrored}
         keep, duplicates = _unique(numbers, corners)
         numbers, corners = numbers[keep], corners[keep]
-        refined = self._refined(grey, numbers, corners, camera)
-        whole = fits_print(grey, numbers, refined.corners, self._book)
+        light = grey.astype(np.float32)
+        refined = self._refined(grey, light, numbers, corners, camera)
+        whole = fits_print(light, numbers, refined.corners, self._book)
         return Detection(
             numbers[whole],
             refined.corners[whole],
@@ -195,15 +196,16 @@ class MarkerDetector:
     def _refined(
         self,
         grey: NDArray[np.uint8],
+        light: NDArray[np.float32],
         ids: NDArray[np.int64],
         corners: Array,
         camera: CameraModel | None,
     ) -> RefinedCorners:
         cells = self._book.markerSize + 2
-        found = refine_corners(grey, corners, cells, camera)
+        found = refine_corners(light, corners, cells, camera)
         by_finder = np.full(len(ids), self._corners == "subpix")
         if self._corners != "subpix":
-            growth, sigma = edge_growth(grey, ids, found.corners, self._book)
+            growth, sigma = edge_growth(light, ids, found.corners, self._book)
             shift = common_growth(growth, sigma)
             if shift == 0.0 and self._corners == "auto":
                 by_finder = found.skew_px < _SKEWED_PX

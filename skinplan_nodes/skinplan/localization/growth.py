@@ -11,7 +11,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.localization.edges import intersections, looked_up
+from skinplan.localization.edge_lines import intersections
+from skinplan.localization.edges import looked_up
 from skinplan.localization.print_check import places_on
 from skinplan.transforms import Array
 
@@ -22,6 +23,10 @@ LEAST_CELL_PX = 5.0
 _HALF, _HALF_PX, _LEVEL_TICKS = 0.45, 4.0, 2
 _AHEAD = np.linspace(-1.0, 1.0, 13)
 _ALONG = np.array([-0.25, 0.0, 0.25])
+# What makes the levels at the ends and the mean of a profile.
+_WEIGHTS = np.zeros((len(_AHEAD), 3), np.float32)
+_WEIGHTS[:_LEVEL_TICKS, 0] = _WEIGHTS[-_LEVEL_TICKS:, 1] = 1.0 / _LEVEL_TICKS
+_WEIGHTS[:, 2] = 1.0 / len(_AHEAD)
 _LEAST_STEP = 25.0
 _LEAST_EDGES = 12
 _UNKNOWN_PX = 1e3
@@ -30,12 +35,12 @@ _LEAST_PX, _LEAST_SIGMA = 0.02, 3.0
 
 
 def edge_growth(
-    grey: NDArray[np.uint8], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
+    light: NDArray[np.float32], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
 ) -> tuple[Array, Array]:
     """Measures how far black reaches over the edges of its cells.
 
     Args:
-        grey: shape (h, w).
+        light: Grey image, shape (h, w).
         ids: shape (m,).
         corners: shape (m, 4, 2) [px].
         book: The dictionary.
@@ -47,12 +52,26 @@ def edge_growth(
     growth, sigma = np.zeros(len(ids)), np.full(len(ids), _UNKNOWN_PX)
     cells = int(book.markerSize) + 2
     side = np.linalg.norm(corners - corners[:, [3, 0, 1, 2]], axis=2).min(axis=1)
-    for k in np.flatnonzero(side >= LEAST_CELL_PX * cells):
+    tell = np.flatnonzero(side >= LEAST_CELL_PX * cells).tolist()
+    if not tell:
+        return growth, sigma
+    ats, signs, levers = [], [], []
+    for k in tell:
         bits = cv2.aruco.generateImageMarker(book, int(ids[k]), cells, borderBits=1) > 127
         middle, across, sign, lever = _edges_of(bits.tobytes(), cells)
         half = min(_HALF, _HALF_PX * cells / side[k]) * _AHEAD[:, None]
         places = (middle[:, None] + half * across[:, None]) / cells
-        growth[k], sigma[k] = _shift(grey, corners[k], places, sign, lever)
+        ats.append(places_on(corners[None, k], places[None, ..., 0], places[None, ..., 1])[0])
+        signs.append(sign)
+        levers.append(lever)
+    # All at once: most of the time is that of the calls.
+    at, sign, lever = np.concatenate(ats), np.concatenate(signs), np.concatenate(levers)
+    good, moved = _moved(looked_up(light, at), at, sign)
+    ends = np.cumsum([len(item) for item in signs]).tolist()
+    for k, begin, end in zip(tell, [0, *ends], ends, strict=False):
+        own = good[begin:end]
+        if own.sum() >= _LEAST_EDGES:
+            growth[k], sigma[k] = _shift(moved[begin:end][own], lever[begin:end][own])
     return growth, sigma
 
 
@@ -75,22 +94,18 @@ def drawn_in(corners: Array, shift_px: float) -> Array:
     return intersections(np.concatenate([outward, offset[..., None]], axis=-1))
 
 
-def _shift(
-    grey: NDArray[np.uint8], corners: Array, places: Array, sign: Array, lever: Array
-) -> tuple[float, float]:
-    """Returns the shift of one marker and its standard deviation [px]."""
-    at = places_on(corners[None], places[None, ..., 0], places[None, ..., 1])[0]
-    values = looked_up(grey, at)
-    left = values[..., :_LEVEL_TICKS].mean(axis=-1)
-    right = values[..., -_LEVEL_TICKS:].mean(axis=-1)
+def _moved(values: NDArray[np.float32], at: Array, sign: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Returns which profiles show an edge, and by how much it is ahead of its place [px]."""
+    left, right, mean = np.moveaxis(values @ _WEIGHTS, -1, 0)
     step = right - left
     good = step * sign > _LEAST_STEP
-    if good.sum() < _LEAST_EDGES:
-        return 0.0, _UNKNOWN_PX
-    share = (right - values.mean(axis=-1))[good] / step[good]
-    length = np.linalg.norm(at[..., -1, :] - at[..., 0, :], axis=-1)[good]
-    moved = (share - 0.5) * length
-    arm = lever[good]
+    along = at[..., -1, :] - at[..., 0, :]
+    share = (right - mean) / np.where(good, step, 1.0)
+    return good, (share - 0.5) * np.hypot(along[..., 0], along[..., 1])
+
+
+def _shift(moved: Array, arm: Array) -> tuple[float, float]:
+    """Returns the shift of one marker and its standard deviation [px]."""
     squares = float(arm @ arm)
     shift = float(arm @ moved) / squares
     scatter = float(np.var(moved - shift * arm))

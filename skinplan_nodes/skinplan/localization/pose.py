@@ -13,6 +13,7 @@ from skinplan.errors import (
     WrongMarkerError,
 )
 from skinplan.localization.camera import in_view, require_camera
+from skinplan.localization.edge_lines import BEFORE
 from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
 from skinplan.localization.observe import SAME_POSE_RAD, ambiguity
 from skinplan.localization.quality import angle_and_distance, marker_quality
@@ -258,7 +259,8 @@ def _hidden(
 
 
 def _narrowest_px(corners: Array) -> float:
-    return float(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1).min())
+    along = corners - corners[BEFORE]
+    return float(np.sqrt(np.einsum("ij,ij->i", along, along).min()))
 
 
 def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:

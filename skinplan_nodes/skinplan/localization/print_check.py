@@ -15,12 +15,12 @@ _LEAST_AGREEMENT, _LEAST_SMALL, _SMALL_CELL_PX = 0.96, 0.90, 5.0
 
 
 def fits_print(
-    grey: NDArray[np.uint8], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
+    light: NDArray[np.float32], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
 ) -> NDArray[np.bool_]:
     """Tells which markers show their print in full, shape (m,).
 
     Args:
-        grey: shape (h, w).
+        light: Grey image, shape (h, w).
         ids: shape (m,).
         corners: shape (m, 4, 2) [px].
         book: The dictionary.
@@ -29,7 +29,7 @@ def fits_print(
     if len(ids) == 0:
         return np.ones(0, dtype=bool)
     at = ((np.arange(cells)[:, None] + _PLACES) / cells).ravel()
-    values = looked_up(grey, places_on(corners, at[None, None, :], at[None, :, None]))
+    values = looked_up(light, places_on(corners, at[None, None, :], at[None, :, None]))
     wanted = np.array([_wanted(book, marker_id, cells) for marker_id in ids.tolist()])
     level = [
         0.5 * (_middle(found[white]) + _middle(found[~white]))

@@ -15,13 +15,15 @@ from skinplan.robot.cell import CameraConfig
 from skinplan.transforms import Array, apply, inverse, require_transform
 
 Image = NDArray[np.uint8]
+# What falls on the sensor, in grey levels, before it is read out.
+Light = NDArray[np.float32]
 
 # White plate round the black square, in cells of the marker on every side.
 _QUIET_CELLS = 1.5
-# Texels per cell of the texture levels; the one nearest to a sample's size is looked up.
-_LEVELS = (4, 6, 8, 12, 16, 24, 32, 48, 64)
-# Samples per pixel and axis; one more where a cell has only a few pixels.
-_SAMPLES, _FINE_CELL_PX = 3, 9.0
+# Texels per cell: the rim of the plate lies between two as well.
+_TEXELS = 2
+# Samples per pixel and axis.
+_SAMPLES = 3
 _BLACK, _WHITE = 28, 222
 _COVER = 110
 _NEAREST_M = 0.05
@@ -35,15 +37,15 @@ class _Plate:
 
     Attributes:
         half_m: Half of the plate's side [m].
-        cell_m: Side of one cell [m].
+        texel_m: Side of one texel [m].
         T_workpiece_marker: shape (4, 4) [m].
-        levels: Textures by texels per cell, shape (t, t, 2): grey value times cover, and cover.
+        texture: Grey value and whether it covers, by texels, shape (t, t, 2), 0 to 255 and 0 or 1.
     """
 
     half_m: float
-    cell_m: float
+    texel_m: float
     T_workpiece_marker: Array
-    levels: dict[int, Image]
+    texture: NDArray[np.float32]
 
 
 class MockCamera:
@@ -57,8 +59,7 @@ class MockCamera:
         noise: Standard deviation of the noise [grey levels]; 0 = none.
         light: Share of the full light; little light means little contrast, not less noise. May be
             changed between images.
-        samples: Samples per pixel and axis: 3 puts edges to 0.02 px, 6 to 0.01 px in three times
-            the time.
+        samples: Samples per pixel and axis.
     """
 
     def __init__(
@@ -85,10 +86,10 @@ class MockCamera:
         shape = (self._camera.height, self._camera.width)
         self._rays = self._pixel_rays()
         self._background = _shading(*shape)
-        self._noise: NDArray[np.int16] | None = None
+        self._noise: NDArray[np.float32] | None = None
         if noise > 0.0:
             larger = (shape[0] + _NOISE_MARGIN, shape[1] + _NOISE_MARGIN)
-            self._noise = np.rint(self._random.normal(0.0, noise, larger)).astype(np.int16)
+            self._noise = self._random.normal(0.0, noise, larger).astype(np.float32)
 
     def render(self, T_camera_workpiece: Array, covers: Sequence[Array] = ()) -> Image:
         """Renders one image.
@@ -111,12 +112,12 @@ class MockCamera:
         for cover in covers:
             cv2.fillPoly(image, [np.rint(cover).astype(np.int32)], _COVER)
         if self.light != 1.0:
-            image = np.rint(image * np.float32(self.light)).clip(0, 255).astype(np.uint8)
+            image *= np.float32(self.light)
         if self._blur_px > 0.0:
-            image = np.asarray(cv2.GaussianBlur(image, (0, 0), self._blur_px), dtype=np.uint8)
-        return self._with_noise(image)
+            cv2.GaussianBlur(image, (0, 0), self._blur_px, dst=image)
+        return self._read_out(image)
 
-    def _draw(self, image: Image, T_camera_marker: Array, plate: _Plate) -> None:
+    def _draw(self, image: Light, T_camera_marker: Array, plate: _Plate) -> None:
         """Blends one plate into the image, unless it is behind the camera or seen from the back."""
         outline = apply(T_camera_marker, _rim(plate.half_m))
         if outline[:, 2].min() < _NEAREST_M or T_camera_marker[:3, 2] @ T_camera_marker[:3, 3] >= 0:
@@ -129,34 +130,28 @@ class MockCamera:
         if np.any(high - low < 2):
             return
         window = np.s_[low[1] : high[1], low[0] : high[0]]
-        longest = float(np.ptp(pixels, axis=0).max()) / (2.0 * plate.half_m) * plate.cell_m
-        layer = self._sampled(window, T_camera_marker, plate, longest)
-        below = image[window].astype(np.float32)
-        cover = layer[..., 1] * np.float32(1.0 / 255.0)
-        image[window] = np.rint(below * (1.0 - cover) + layer[..., 0]).astype(np.uint8)
+        layer = self._sampled(window, T_camera_marker, plate)
+        image[window] *= 1.0 - layer[..., 1]
+        image[window] += layer[..., 0]
 
     def _sampled(
-        self, window: tuple[slice, slice], T_camera_marker: Array, plate: _Plate, cell_px: float
+        self, window: tuple[slice, slice], T_camera_marker: Array, plate: _Plate
     ) -> NDArray[np.float32]:
         """Looks the texture up at several places per pixel and takes the mean, shape (h, w, 2)."""
-        samples = self._samples + (cell_px < _FINE_CELL_PX)
-        level = min(_LEVELS, key=lambda texels: abs(np.log(texels / (cell_px * samples))))
-        texture = plate.levels[level]
         rays = self._rays[window]
         # A ray r meets the marker plane at s r with marker coordinates M r / (n . r).
         T_marker_camera = inverse(T_camera_marker)
         eye = T_marker_camera[:3, 3]
         turn = T_marker_camera[:3, :3]
-        to_plane = (turn[:2] * -eye[2] + np.outer(eye[:2], turn[2])) / plate.cell_m * level
+        to_plane = (turn[:2] * -eye[2] + np.outer(eye[:2], turn[2])) / plate.texel_m
         top = rays @ to_plane[:, :2].T.astype(np.float32) + to_plane[:, 2].astype(np.float32)
         below = rays @ turn[2, :2].astype(np.float32) + np.float32(turn[2, 2])
         at = top / np.where(np.abs(below) < 1e-9, np.float32(1e-9), below)[..., None]
-        middle = np.float32((texture.shape[0] - 1) / 2.0)
-        x = _finer(at[..., 0] + middle, samples)
-        y = _finer(middle - at[..., 1], samples)
-        fine = cv2.remap(texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
-        shape = rays.shape[1::-1]
-        mean = cv2.resize(fine.astype(np.float32), shape, interpolation=cv2.INTER_AREA)
+        middle = np.float32(plate.texture.shape[0] / 2.0)
+        x = _softened(at[..., 0] + middle, self._samples)
+        y = _softened(middle - at[..., 1], self._samples)
+        fine = cv2.remap(plate.texture, x, y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT)
+        mean = cv2.resize(fine, rays.shape[1::-1], interpolation=cv2.INTER_AREA)
         return np.asarray(mean, dtype=np.float32)
 
     def _pixel_rays(self) -> NDArray[np.float32]:
@@ -169,12 +164,14 @@ class MockCamera:
             raise ImageInvalidError("the camera's distortion can't be inverted over its image")
         return rays.reshape(self._camera.height, self._camera.width, 2).astype(np.float32)
 
-    def _with_noise(self, image: Image) -> Image:
-        if self._noise is None:
-            return image
-        row, column = self._random.integers(0, _NOISE_MARGIN, 2)
-        cut = self._noise[row : row + image.shape[0], column : column + image.shape[1]]
-        return np.asarray(cv2.add(image, cut, dtype=cv2.CV_8U), dtype=np.uint8)
+    def _read_out(self, light: Light) -> Image:
+        """Adds noise and rounds, once and last, as a sensor does: noise dithers rounding."""
+        if self._noise is not None:
+            height, width = light.shape
+            row, column = self._random.integers(0, _NOISE_MARGIN, 2)
+            light += self._noise[row : row + height, column : column + width]
+        grey = cv2.convertScaleAbs(np.maximum(light, 0.0, out=light))
+        return np.asarray(grey, dtype=np.uint8)
 
 
 def _rim(half_m: float) -> Array:
@@ -185,30 +182,46 @@ def _rim(half_m: float) -> Array:
     return np.vstack([np.column_stack([x, y, flat]) for x, y in edges])
 
 
-def _finer(values: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
-    """Spreads values at pixel centres over so many places per pixel and axis."""
-    finer = cv2.resize(values, None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR)
-    return np.asarray(finer, dtype=np.float32)
+def _softened(places: NDArray[np.float32], samples: int) -> NDArray[np.float32]:
+    """Returns where to look a texture up, for so many samples per pixel and axis.
+
+    Between two texels lies an edge. Read at the places returned it rises over the width of one
+    sample: as of the light that falls on it, the mean of the samples changes in proportion to the
+    place of the edge, however it lies between them.
+
+    Args:
+        places: In texels, whole numbers on the edges, at the pixels' centres, shape (h, w).
+        samples: How many.
+
+    Returns:
+        In the texture's own numbers, whole ones in the middle of a texel, shape (s h, s w).
+    """
+    slope = cv2.magnitude(*(np.gradient(places, axis=axis) for axis in (0, 1)))
+    width = np.clip(slope / np.float32(samples), 1e-6, 1.0).astype(np.float32)
+    fine, rise = (
+        cv2.resize(values, None, fx=samples, fy=samples, interpolation=cv2.INTER_LINEAR)
+        for values in (places, width)
+    )
+    edge = np.rint(fine)
+    beyond = np.clip((fine - edge) / rise, -0.5, 0.5)
+    return np.asarray(edge + beyond - 0.5, dtype=np.float32)
 
 
 def _plate(dictionary: str, marker: Marker, T_workpiece_marker: Array) -> _Plate:
     book = dictionary_of(dictionary)
     cells = book.markerSize + 2
     bits = cv2.aruco.generateImageMarker(book, marker.id, cells, borderBits=1)
-    grey = np.where(bits > 127, _WHITE, _BLACK).astype(np.uint8)
-    cell_m = marker.size_m / cells
-    levels = {}
-    for texels in _LEVELS:
-        quiet = round(_QUIET_CELLS * texels)
-        black_white = np.kron(grey, np.ones((texels, texels), np.uint8))
-        value = np.pad(black_white, quiet, constant_values=_WHITE)
-        levels[texels] = np.dstack([value, np.full_like(value, 255)])
-    half_m = 0.5 * marker.size_m + _QUIET_CELLS * cell_m
-    return _Plate(half_m, cell_m, T_workpiece_marker, levels)
+    grey = np.where(bits > 127, _WHITE, _BLACK).astype(np.float32)
+    texel_m = marker.size_m / cells / _TEXELS
+    quiet = round(_QUIET_CELLS * _TEXELS)
+    value = np.pad(np.kron(grey, np.ones((_TEXELS, _TEXELS))), quiet, constant_values=_WHITE)
+    texture = np.dstack([value, np.ones_like(value)]).astype(np.float32)
+    half_m = 0.5 * marker.size_m + quiet * texel_m
+    return _Plate(half_m, texel_m, T_workpiece_marker, texture)
 
 
-def _shading(height: int, width: int) -> Image:
+def _shading(height: int, width: int) -> Light:
     """A grey wall, lighter at the top left, darker at the bottom."""
     y, x = np.mgrid[0.0 : 1.0 : height * 1j, 0.0 : 1.0 : width * 1j]
     shade = 128.0 + 18.0 * (0.5 - y) + 12.0 * (0.5 - x) + 6.0 * np.sin(5.0 * x + 2.0 * y)
-    return np.rint(shade).astype(np.uint8)
+    return np.asarray(shade, dtype=np.float32)
