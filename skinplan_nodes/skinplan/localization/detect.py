@@ -2,6 +2,7 @@
 
 import logging
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import cv2
 import numpy as np
@@ -32,13 +33,32 @@ _SAME_MARKER = 0.5
 _WINDOWS_PX = (3, 29)
 # One is enough near a marker that was found before; without it the whole image is looked at.
 _TRACKING_PX = 15
-# Windows of more than twice this are made so large for the search; the corners are then found in
-# the full image.
-_TRACKING_SIDE_PX = 160
+# Markers of more than half again as many pixels are made so large for the search; the corners are
+# then found in the full image.
+_SEARCHED_SIDE_PX = 42.0
 # Half window of `cornerSubPix`: share of a cell, at most so many pixels; and when it ends.
 _SUBPIX_SHARE, _SUBPIX_PX = 0.3, 5
 _SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
 _LARGEST_PX = 100_000_000
+
+
+@dataclass(frozen=True)
+class Window:
+    """Part of an image.
+
+    Attributes:
+        left: First column [px].
+        top: First row [px].
+        right: Column behind the last one [px].
+        bottom: Row behind the last one [px].
+        side_px: Side of the smallest marker in it; 0 = not known.
+    """
+
+    left: int
+    top: int
+    right: int
+    bottom: int
+    side_px: float = 0.0
 
 
 def dictionary_of(name: str) -> cv2.aruco.Dictionary:
@@ -105,7 +125,7 @@ class MarkerDetector:
         self,
         image: NDArray[np.uint8],
         camera: CameraModel | None = None,
-        windows: Sequence[tuple[int, int, int, int]] | None = None,
+        windows: Sequence[Window] | None = None,
         ids: Sequence[int] | None = None,
     ) -> Detection:
         """Finds markers in an image.
@@ -115,7 +135,8 @@ class MarkerDetector:
         Args:
             image: shape (h, w) grey or (h, w, 3) BGR, 8 bit.
             camera: Lets the corners be refined without the bend of the distortion; None = without.
-            windows: Parts of the image to look at, (left, top, right, bottom) [px]; None = all.
+            windows: Parts of the image to look at; None = all. Mirror images are not looked for in
+                them.
             ids: Only these are looked for, which takes less time; None = all of the dictionary.
 
         Returns:
@@ -125,10 +146,10 @@ class MarkerDetector:
             ImageInvalidError: The array is no image.
         """
         grey = grey_image(image)
-        parts = [(0, 0, grey.shape[1], grey.shape[0])] if windows is None else windows
+        parts = [Window(0, 0, grey.shape[1], grey.shape[0])] if windows is None else windows
         own = None if ids is None else np.array(sorted(ids), dtype=np.int64)
         finders = self._finders if own is None else self._finders_of(tuple(own.tolist()))
-        looks = [self._in_part(grey, part, *finders) for part in parts]
+        looks = [self._in_part(grey, part, finders, whole=windows is None) for part in parts]
         numbers = np.concatenate([look[0] for look in looks])
         corners = np.concatenate([look[1] for look in looks])
         mirrored = {number for look in looks for number in look[2]}
@@ -165,15 +186,14 @@ class MarkerDetector:
     def _in_part(
         self,
         grey: NDArray[np.uint8],
-        part: tuple[int, int, int, int],
-        finder: cv2.aruco.ArucoDetector,
-        plain: cv2.aruco.ArucoDetector,
+        part: Window,
+        finders: tuple[cv2.aruco.ArucoDetector, ...],
+        *,
+        whole: bool,
     ) -> tuple[NDArray[np.int64], Array, set[int]]:
-        left, top, right, bottom = part
-        window = np.ascontiguousarray(grey[top:bottom, left:right])
-        whole = window.shape == grey.shape
-        large = not whole and max(window.shape) > 2 * _TRACKING_SIDE_PX
-        scale = _TRACKING_SIDE_PX / max(window.shape) if large else 1.0
+        window = np.ascontiguousarray(grey[part.top : part.bottom, part.left : part.right])
+        large = part.side_px > 1.5 * _SEARCHED_SIDE_PX
+        scale = _SEARCHED_SIDE_PX / part.side_px if large else 1.0
         if large:
             size = np.rint(np.multiply(window.shape[::-1], scale)).astype(int)
             smaller = cv2.resize(window, size.tolist(), interpolation=cv2.INTER_AREA)
@@ -184,13 +204,14 @@ class MarkerDetector:
         parameters.minMarkerPerimeterRate = min(rate, 3.0)
         low, high = _WINDOWS_PX if whole else (_TRACKING_PX, _TRACKING_PX)
         parameters.adaptiveThreshWinSizeMin, parameters.adaptiveThreshWinSizeMax = low, high
+        finder, plain = finders
         finder.setDetectorParameters(self._parameters)
         found, found_ids, rejected = finder.detectMarkers(window)
         corners = np.asarray(found, dtype=float).reshape(-1, 4, 2)
-        mirrored = mirrored_ids(window, rejected, corners, plain)
+        mirrored = mirrored_ids(window, rejected, corners, plain) if whole else set()
         if len(corners) == 0:
             return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), mirrored
-        placed = (corners + 0.5) / scale - 0.5 + (left, top)
+        placed = (corners + 0.5) / scale - 0.5 + (part.left, part.top)
         return np.asarray(found_ids, dtype=np.int64).ravel(), placed, mirrored
 
     def _refined(

@@ -43,6 +43,12 @@ class Lines:
     enough: NDArray[np.bool_]
 
 
+def narrowest_px(corners: Array) -> float:
+    """Returns the shortest side of a marker with corners (4, 2) [px]."""
+    along = corners - corners[BEFORE]
+    return float(np.sqrt(np.einsum("ij,ij->i", along, along).min()))
+
+
 def crossings(
     points: Array, good: NDArray[np.bool_], camera: CameraModel | None
 ) -> tuple[Array, tuple[Array, Lines], NDArray[np.bool_]]:

@@ -13,7 +13,7 @@ from skinplan.errors import (
     WrongMarkerError,
 )
 from skinplan.localization.camera import in_view, require_camera
-from skinplan.localization.edge_lines import BEFORE
+from skinplan.localization.edge_lines import narrowest_px
 from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
 from skinplan.localization.observe import SAME_POSE_RAD, ambiguity
 from skinplan.localization.quality import angle_and_distance, marker_quality
@@ -145,7 +145,7 @@ def _usable(seen: Sighting, fixture: Fixture) -> tuple[Observation, ...]:
             f"{'; '.join(reasons)}; those of the fixture ({_names(fixture)}) are accepted, "
             "each once and not mirrored"
         )
-    clear = [item for item in used if _narrowest_px(item.corners) >= CLEAR_SIDE_PX]
+    clear = [item for item in used if narrowest_px(item.corners) >= CLEAR_SIDE_PX]
     return tuple(clear if len(clear) >= _ENOUGH_CLEAR else used)
 
 
@@ -201,7 +201,7 @@ def _agreed(bundle: _Bundle, starts: Array, camera: CameraModel) -> tuple[_Bundl
         The markers, and what the best start and a few that are turned against it lead to.
     """
     errors = marker_errors(starts, bundle.points, bundle.pixels, camera)
-    sides = np.array([_narrowest_px(pixels) for pixels in bundle.pixels])
+    sides = np.array([narrowest_px(pixels) for pixels in bundle.pixels])
     allowed = REPROJECTION_MAX_PX + _AGREES_SHARE * sides
     agrees = errors < allowed
     cost = np.minimum(errors / allowed, 1.0).sum(axis=1)
@@ -256,11 +256,6 @@ def _hidden(
     inside = in_view(corners.reshape(-1, 3), camera, _HIDDEN_RIM_PX).reshape(-1, 4).all(axis=1)
     ids = np.array([marker.id for marker in missing], dtype=np.int64)
     return np.asarray(ids[clear & inside])
-
-
-def _narrowest_px(corners: Array) -> float:
-    along = corners - corners[BEFORE]
-    return float(np.sqrt(np.einsum("ij,ij->i", along, along).min()))
 
 
 def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:

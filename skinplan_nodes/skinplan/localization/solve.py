@@ -146,6 +146,10 @@ def refine(
     squares = _squares(poses, points, rays, whiten)
     for _ in range(_ROUNDS):
         step = _step(squares, damping)
+        # What the step will take off, to first order.
+        gain = -np.einsum("bi,bi->b", squares[:, :6, 6], step)
+        if np.all(gain < _SMALLEST_GAIN * squares[:, 6, 6]):
+            break
         moved = _moved(poses, step)
         new = _squares(moved, points, rays, whiten)
         cost, new_cost = squares[:, 6, 6], new[:, 6, 6]

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.localization.camera import require_camera
-from skinplan.localization.detect import MarkerDetector, grey_image
+from skinplan.localization.detect import MarkerDetector, Window, grey_image
+from skinplan.localization.edge_lines import narrowest_px
 from skinplan.localization.model import CameraModel, Sighting
 from skinplan.localization.observe import judged, require_size
 from skinplan.part.model import Fixture
@@ -17,8 +18,6 @@ _MARGIN_SHARE, _LEAST_MARGIN_PX = 0.4, 12.0
 _WHOLE_EVERY = 10
 # Windows that cover more than this share of the image save nothing.
 _LARGEST_SHARE = 0.5
-
-Window = tuple[int, int, int, int]
 
 
 class MarkerTracker:
@@ -72,7 +71,7 @@ class MarkerTracker:
         if last.duplicates or last.mirrored:
             return None
         windows = _merged([_window(item.corners, width, height) for item in last.markers])
-        area = sum((right - left) * (bottom - top) for left, top, right, bottom in windows)
+        area = sum((item.right - item.left) * (item.bottom - item.top) for item in windows)
         return windows if area <= _LARGEST_SHARE * width * height else None
 
 
@@ -88,7 +87,7 @@ def _window(corners: Array, width: int, height: int) -> Window:
     margin = max(_MARGIN_SHARE * float((high - low).max()), _LEAST_MARGIN_PX)
     left, top = np.maximum(np.floor(low - margin), 0.0).astype(int)
     right, bottom = np.minimum(np.ceil(high + margin), [width, height]).astype(int)
-    return int(left), int(top), int(right), int(bottom)
+    return Window(int(left), int(top), int(right), int(bottom), narrowest_px(corners))
 
 
 def _merged(windows: list[Window]) -> list[Window]:
@@ -101,15 +100,16 @@ def _merged(windows: list[Window]) -> list[Window]:
             if other is None:
                 break
             result.remove(other)
-            joined = (
-                min(joined[0], other[0]),
-                min(joined[1], other[1]),
-                max(joined[2], other[2]),
-                max(joined[3], other[3]),
+            joined = Window(
+                min(joined.left, other.left),
+                min(joined.top, other.top),
+                max(joined.right, other.right),
+                max(joined.bottom, other.bottom),
+                min(joined.side_px, other.side_px),
             )
         result.append(joined)
     return result
 
 
 def _overlap(a: Window, b: Window) -> bool:
-    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+    return a.left < b.right and b.left < a.right and a.top < b.bottom and b.top < a.bottom
