@@ -33,9 +33,9 @@ _SAME_MARKER = 0.5
 _WINDOWS_PX = (3, 29)
 # One is enough near a marker that was found before; without it the whole image is looked at.
 _TRACKING_PX = 15
-# Markers of more than half again as many pixels are made so large for the search; the corners are
-# then found in the full image.
-_SEARCHED_SIDE_PX = 42.0
+# Markers of more than half again as many pixels are made so large for the search, at least half as
+# large as they are: the corners are then found in the full image, from there.
+_SEARCHED_SIDE_PX, _LEAST_SCALE = 60.0, 0.5
 # Half window of `cornerSubPix`: share of a cell, at most so many pixels; and when it ends.
 _SUBPIX_SHARE, _SUBPIX_PX = 0.3, 5
 _SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
@@ -157,7 +157,7 @@ class MarkerDetector:
             numbers, mirrored = own[numbers], {int(own[number]) for number in mirrored}
         keep, duplicates = _unique(numbers, corners)
         numbers, corners = numbers[keep], corners[keep]
-        light = grey.astype(np.float32)
+        light = _light(grey, parts)
         refined = self._refined(grey, light, numbers, corners, camera)
         whole = fits_print(light, numbers, refined.corners, self._book)
         return Detection(
@@ -193,7 +193,7 @@ class MarkerDetector:
     ) -> tuple[NDArray[np.int64], Array, set[int]]:
         window = np.ascontiguousarray(grey[part.top : part.bottom, part.left : part.right])
         large = part.side_px > 1.5 * _SEARCHED_SIDE_PX
-        scale = _SEARCHED_SIDE_PX / part.side_px if large else 1.0
+        scale = max(_SEARCHED_SIDE_PX / part.side_px, _LEAST_SCALE) if large else 1.0
         if large:
             size = np.rint(np.multiply(window.shape[::-1], scale)).astype(int)
             smaller = cv2.resize(window, size.tolist(), interpolation=cv2.INTER_AREA)
@@ -245,6 +245,15 @@ def detect_markers(
 ) -> Detection:
     """Finds the markers of a dictionary in one image; see `MarkerDetector`."""
     return MarkerDetector(dictionary).find(image, camera)
+
+
+def _light(grey: NDArray[np.uint8], parts: Sequence[Window]) -> NDArray[np.float32]:
+    """Returns parts of an image in floating point, 0 elsewhere."""
+    light = np.zeros(grey.shape, np.float32)
+    for part in parts:
+        own = np.s_[part.top : part.bottom, part.left : part.right]
+        light[own] = grey[own]
+    return light
 
 
 def _subpix(grey: NDArray[np.uint8], corners: Array, cells: int) -> Array:

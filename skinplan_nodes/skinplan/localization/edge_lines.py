@@ -50,9 +50,15 @@ def narrowest_px(corners: Array) -> float:
 
 
 def crossings(
-    points: Array, good: NDArray[np.bool_], camera: CameraModel | None
+    points: Array, good: NDArray[np.bool_], camera: CameraModel | None, fits: int = 2
 ) -> tuple[Array, tuple[Array, Lines], NDArray[np.bool_]]:
     """Intersects the lines through the edge points, without the bend of the distortion.
+
+    Args:
+        points: shape (m, 4, a, 2) [px].
+        good: Which count, shape (m, 4, a).
+        camera: Its distortion is taken away; None = there is none.
+        fits: Every fit after the first is without the outliers of the one before.
 
     Returns:
         Corners, shape (m, 4, 2) [px]; the same without distortion and the lines, as
@@ -63,7 +69,7 @@ def crossings(
     else:
         focal = camera.K[0, 0]
         straight = undistorted(points.reshape(-1, 2), camera).reshape(points.shape) * focal
-    lines = _lines(straight, good)
+    lines = _lines(straight, good, fits)
     crossing = intersections(lines.lines)
     fitted = lines.enough.all(axis=1) & np.isfinite(crossing).all(axis=(1, 2))
     crossing = np.nan_to_num(crossing)
@@ -106,11 +112,11 @@ def corner_covariance(corners: Array, lines: Lines) -> Array:
     return np.asarray(root @ root.swapaxes(1, 2))
 
 
-def _lines(points: Array, good: NDArray[np.bool_]) -> Lines:
-    """Fits lines n . p = c by total least squares, twice: without the outliers of the first fit."""
+def _lines(points: Array, good: NDArray[np.bool_], fits: int) -> Lines:
+    """Fits lines n . p = c by total least squares."""
     x, y = points[..., 0], points[..., 1]
     weights, middle = good.astype(float), points.shape[2] // 2
-    for _ in range(2):
+    for _ in range(fits):
         total = np.maximum(weights.sum(axis=-1), 1e-9)
         at_x, at_y = dot(weights, x) / total, dot(weights, y) / total
         dx, dy = x - at_x[..., None], y - at_y[..., None]

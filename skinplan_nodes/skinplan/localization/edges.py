@@ -27,9 +27,11 @@ _LEVEL_TICKS = 3
 _LEAST_GAIN = 0.5
 # Least difference between black and white [grey levels].
 _LEAST_STEP = 25.0
-# A refined corner farther away than this from the detector's is no improvement but a mistake.
-_TRUST_PX = 2.5
-_ROUNDS = 3
+# A refined corner farther away than this from the detector's is no improvement but a mistake: in
+# pixels, and as share of the marker's side, as large ones are searched at a smaller size.
+_TRUST_PX, _TRUST_SHARE = 2.5, 0.03
+# Rounds, and as many more as the corners still move by more than this.
+_ROUNDS, _MOST_ROUNDS, _SETTLED_PX = 3, 6, 0.1
 # How well the corners of a marker are known whose edges can't be fitted [px].
 _UNFITTED_PX = 0.3
 # What remains of the corners' error however many images are taken: the texture of the print, the
@@ -81,19 +83,24 @@ def refine_corners(
     covariance = np.tile(np.eye(8) * _UNFITTED_PX**2, (count, 1, 1))
     floor, usable = np.full(count, _UNFITTED_PX), np.zeros(count, dtype=bool)
     skew = np.zeros(count)
-    for number in range(_ROUNDS if count else 0):
+    trust = np.maximum(_TRUST_PX, _TRUST_SHARE * _narrowest(refined))
+    for number in range(_MOST_ROUNDS if count else 0):
         points, good, shape = _edge_points(light, refined, cells, near=number > 0)
-        crossing, lines, fitted = crossings(points, good, camera if number else None)
+        crossing, lines, fitted = crossings(
+            points, good, camera if number > 1 else None, min(number + 1, 2)
+        )
         moved = np.linalg.norm(crossing - corners, axis=2).max(axis=1)
-        usable = fitted & (moved < _TRUST_PX)
-        refined = np.where(usable[:, None, None], crossing, refined)
-        if number == _ROUNDS - 1:
-            spread = corner_covariance(*lines)
-            usable &= np.isfinite(spread).all(axis=(1, 2))
-            covariance = np.where(usable[:, None, None], spread, covariance)
-            tail, half = _profile_shape(*shape, _narrowest(refined) / cells)
-            floor = np.where(usable, np.hypot(CORNER_FLOOR_PX, _MIXED_PX * tail), floor)
-            skew = np.where(usable, half, skew)
+        usable = fitted & (moved < trust)
+        last, refined = refined, np.where(usable[:, None, None], crossing, refined)
+        if number + 1 >= _ROUNDS and np.abs(refined - last).max() < _SETTLED_PX:
+            break
+    if count:
+        spread = corner_covariance(*lines)
+        usable &= np.isfinite(spread).all(axis=(1, 2))
+        covariance = np.where(usable[:, None, None], spread, covariance)
+        tail, half = _profile_shape(*shape, _narrowest(refined) / cells)
+        floor = np.where(usable, np.hypot(CORNER_FLOOR_PX, _MIXED_PX * tail), floor)
+        skew = np.where(usable, half, skew)
     return RefinedCorners(refined, covariance, floor, usable, skew)
 
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from skinplan.localization.edge_lines import intersections
 from skinplan.localization.edges import looked_up
-from skinplan.localization.print_check import places_on
+from skinplan.localization.print_check import places_on, print_bits
 from skinplan.transforms import Array
 
 # Markers with smaller cells do not tell [px].
@@ -57,8 +57,7 @@ def edge_growth(
         return growth, sigma
     ats, signs, levers = [], [], []
     for k in tell:
-        bits = cv2.aruco.generateImageMarker(book, int(ids[k]), cells, borderBits=1) > 127
-        middle, across, sign, lever = _edges_of(bits.tobytes(), cells)
+        middle, across, sign, lever = _edges_of(print_bits(book, int(ids[k])), cells)
         half = min(_HALF, _HALF_PX * cells / side[k]) * _AHEAD[:, None]
         places = (middle[:, None] + half * across[:, None]) / cells
         ats.append(places_on(corners[None, k], places[None, ..., 0], places[None, ..., 1])[0])

@@ -1,5 +1,7 @@
 """Whether the cells of a marker lie where its corners say: a covered edge moves the corners."""
 
+from functools import lru_cache
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +32,7 @@ def fits_print(
         return np.ones(0, dtype=bool)
     at = ((np.arange(cells)[:, None] + _PLACES) / cells).ravel()
     values = looked_up(light, places_on(corners, at[None, None, :], at[None, :, None]))
-    wanted = np.array([_wanted(book, marker_id, cells) for marker_id in ids.tolist()])
+    wanted = np.array([_wanted(print_bits(book, i), cells) for i in ids.tolist()])
     level = [
         0.5 * (_middle(found[white]) + _middle(found[~white]))
         for found, white in zip(values, wanted, strict=True)
@@ -71,7 +73,14 @@ def _middle(values: NDArray[np.float32]) -> float:
     return float(np.partition(values, half)[half])
 
 
-def _wanted(book: cv2.aruco.Dictionary, marker_id: int, cells: int) -> NDArray[np.bool_]:
+def print_bits(book: cv2.aruco.Dictionary, marker_id: int) -> bytes:
+    """Returns which cells of a marker are white, its border included, a byte each, row by row."""
+    cells = int(book.markerSize) + 2
+    return bytes(cv2.aruco.generateImageMarker(book, marker_id, cells, borderBits=1) > 127)
+
+
+@lru_cache(maxsize=4096)
+def _wanted(bits: bytes, cells: int) -> NDArray[np.bool_]:
     """Returns which places are white in a print, shape (3 cells, 3 cells)."""
-    white = cv2.aruco.generateImageMarker(book, marker_id, cells, borderBits=1) > 127
+    white = np.frombuffer(bits, dtype=bool).reshape(cells, cells)
     return np.asarray(white.repeat(len(_PLACES), axis=0).repeat(len(_PLACES), axis=1))

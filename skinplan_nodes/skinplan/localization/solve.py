@@ -252,11 +252,13 @@ def _moved(poses: Array, step: Array) -> Array:
 
 
 def _turns(vectors: Array) -> Array:
-    """Rotation matrices of rotation vectors, (b, 3): shape (b, 3, 3); Rodrigues' formula."""
-    angle = np.sqrt(np.einsum("bi,bi->b", vectors, vectors))[:, None, None]
+    """Rotation matrices of steps, (b, 3): shape (b, 3, 3); to first order their rotation vectors.
+
+    Cayley's form with the half step h: 1 + 2 (H + H H) / (1 + h h), H the cross product with h.
+    """
+    half = 0.5 * vectors
     cross = np.zeros((len(vectors), 3, 3))
-    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = vectors.T
+    cross[:, 2, 1], cross[:, 0, 2], cross[:, 1, 0] = half.T
     cross -= cross.swapaxes(1, 2)
-    # sinc(a / pi) = sin(a) / a
-    half = np.sinc(angle / (2.0 * np.pi))
-    return np.asarray(np.eye(3) + np.sinc(angle / np.pi) * cross + 0.5 * half**2 * (cross @ cross))
+    share = 2.0 / (1.0 + np.einsum("bi,bi->b", half, half))
+    return np.asarray(np.eye(3) + share[:, None, None] * (cross + cross @ cross))
