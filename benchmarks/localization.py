@@ -286,7 +286,7 @@ def times(photo: Path | None) -> None:
 
 def _times(name: str, image: Array, camera: object, fixture: object) -> None:
     detector = MarkerDetector(fixture.dictionary)
-    plain = cv2.aruco.ArucoDetector(detector._book)
+    plain = cv2.aruco.ArucoDetector(detector.book)
 
     def whole() -> None:
         locate(observe(image, camera, fixture, CELL.quality), camera, fixture, CELL.quality)

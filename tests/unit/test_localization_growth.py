@@ -40,7 +40,7 @@ def found(image, corners):
 
 def measured(image):
     """Growth by corners that lie on the edges as they are seen."""
-    return edge_growth(image, IDS, refine_corners(image, CORNERS, 7, CAMERA).corners, BOOK)
+    return edge_growth(image, IDS, refine_corners(image, CORNERS, 7, CAMERA).corners, BOOK)[:2]
 
 
 def error_px(image, corners):
@@ -80,7 +80,7 @@ def test_growth_that_can_not_be_told_from_chance_is_none():
     assert common_growth(np.array([0.1, 0.05]), np.array([0.1, 0.08])) == 0.0
     assert common_growth(np.zeros(0), np.zeros(0)) == 0.0
     small = np.array([[[10, 10], [20, 10], [20, 20], [10, 20]]], dtype=float)
-    growth, sigma = edge_growth(np.zeros((40, 40), np.uint8), np.array([7]), small, BOOK)
+    growth, sigma, _ = edge_growth(np.zeros((40, 40), np.uint8), np.array([7]), small, BOOK)
     assert common_growth(growth, sigma) == 0.0
 
 

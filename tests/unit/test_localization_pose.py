@@ -22,8 +22,9 @@ from skinplan.errors import (
     NoMarkerError,
     WrongMarkerError,
 )
+from skinplan.localization.judge import exact_detection, observations
 from skinplan.localization.model import CameraModel, Sighting
-from skinplan.localization.observe import exact_detection, observations, observe
+from skinplan.localization.observe import observe
 from skinplan.localization.pose import locate
 from skinplan.mock.camera import MockCamera
 from skinplan.part.model import Fixture, Marker

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from skinplan.errors import ImageInvalidError, PartInvalidError
 from skinplan.localization.edges import RefinedCorners, refine_corners
-from skinplan.localization.growth import common_growth, drawn_in, edge_growth
+from skinplan.localization.growth import common_growth, drawn_in, edge_growth, lie_aside
 from skinplan.localization.mirrored import mirrored_ids
 from skinplan.localization.model import CameraModel, Detection
 from skinplan.localization.print_check import fits_print
@@ -104,6 +104,9 @@ class MarkerDetector:
             corners inwards under blur), or ``auto``: lines, but OpenCV's corner finder for a marker
             whose edges the image has drawn outwards without telling by how much.
 
+    Attributes:
+        book: The dictionary.
+
     Raises:
         PartInvalidError: There is no such dictionary or way of finding corners.
     """
@@ -113,12 +116,12 @@ class MarkerDetector:
             raise PartInvalidError(
                 f"corners by {corners!r} were asked; accepted: {', '.join(CORNER_FINDERS)}"
             )
-        self._book = dictionary_of(dictionary) if isinstance(dictionary, str) else dictionary
+        self.book = dictionary_of(dictionary) if isinstance(dictionary, str) else dictionary
         self._corners = corners
         parameters = cv2.aruco.DetectorParameters()
         parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX[1] - _WINDOWS_PX[0]
         self._parameters = parameters
-        self._finders = self._made(self._book)
+        self._finders = self._made(self.book)
         self._few: tuple[tuple[int, ...], tuple[cv2.aruco.ArucoDetector, ...]] | None = None
 
     def find(
@@ -158,8 +161,8 @@ class MarkerDetector:
         keep, duplicates = _unique(numbers, corners)
         numbers, corners = numbers[keep], corners[keep]
         light = _light(grey, parts)
-        refined = self._refined(grey, light, numbers, corners, camera)
-        whole = fits_print(light, numbers, refined.corners, self._book)
+        refined, growth_px, whole = self._refined(grey, light, numbers, corners, camera)
+        whole &= fits_print(light, numbers, refined.corners, self.book)
         return Detection(
             numbers[whole],
             refined.corners[whole],
@@ -168,13 +171,14 @@ class MarkerDetector:
             duplicates,
             tuple(sorted(mirrored)),
             tuple(numbers[~whole].tolist()),
+            growth_px,
         )
 
     def _finders_of(self, ids: tuple[int, ...]) -> tuple[cv2.aruco.ArucoDetector, ...]:
         """Returns detectors of a few ids: comparing with a thousand takes 2 ms a quadrilateral."""
         if self._few is None or self._few[0] != ids:
             few = cv2.aruco.Dictionary(
-                self._book.bytesList[list(ids)], self._book.markerSize, self._book.maxCorrectionBits
+                self.book.bytesList[list(ids)], self.book.markerSize, self.book.maxCorrectionBits
             )
             self._few = (ids, self._made(few))
         return self._few[1]
@@ -221,13 +225,16 @@ class MarkerDetector:
         ids: NDArray[np.int64],
         corners: Array,
         camera: CameraModel | None,
-    ) -> RefinedCorners:
-        cells = self._book.markerSize + 2
+    ) -> tuple[RefinedCorners, float, NDArray[np.bool_]]:
+        cells = self.book.markerSize + 2
         found = refine_corners(light, corners, cells, camera)
-        by_finder = np.full(len(ids), self._corners == "subpix")
+        by_finder, shift = np.full(len(ids), self._corners == "subpix"), 0.0
+        whole = np.ones(len(ids), dtype=bool)
         if self._corners != "subpix":
-            growth, sigma = edge_growth(light, ids, found.corners, self._book)
-            shift = common_growth(growth, sigma)
+            growth, sigma, aside = edge_growth(light, ids, found.corners, self.book)
+            odd = lie_aside(light, ids, found.corners, aside, self.book, camera)
+            whole &= ~(odd & found.fitted)
+            shift = common_growth(growth[~odd], sigma[~odd])
             if shift == 0.0 and self._corners == "auto":
                 by_finder = found.skew_px < _SKEWED_PX
             if shift != 0.0:
@@ -237,7 +244,7 @@ class MarkerDetector:
         for number in np.flatnonzero(by_finder | ~found.fitted):
             found.corners[number] = _subpix(grey, corners[number], cells)
             found.floor_px[number] = max(found.floor_px[number], _SUBPIX_PULL_PX)
-        return found
+        return found, shift, whole
 
 
 def detect_markers(

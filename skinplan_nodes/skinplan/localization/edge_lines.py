@@ -64,20 +64,51 @@ def crossings(
         Corners, shape (m, 4, 2) [px]; the same without distortion and the lines, as
         `corner_covariance` takes them; and which markers could be fitted, shape (m,).
     """
-    if camera is None:
-        straight = points
-    else:
-        focal = camera.K[0, 0]
-        straight = undistorted(points.reshape(-1, 2), camera).reshape(points.shape) * focal
-    lines = _lines(straight, good, fits)
+    lines = fitted_lines(straightened(points, camera), good, fits)
     crossing = intersections(lines.lines)
     fitted = lines.enough.all(axis=1) & np.isfinite(crossing).all(axis=(1, 2))
     crossing = np.nan_to_num(crossing)
-    corners = crossing
-    if camera is not None:
-        corners = project_rays(crossing / focal, camera)
-        fitted &= np.isfinite(corners).all(axis=(1, 2))
+    corners = bent(crossing, camera)
+    fitted &= np.isfinite(corners).all(axis=(1, 2))
     return corners, (crossing, lines), np.asarray(fitted, dtype=bool)
+
+
+def straightened(points: Array, camera: CameraModel | None) -> Array:
+    """Takes the distortion off points: pixels of a camera with square ones about (0, 0)."""
+    if camera is None:
+        return points
+    return undistorted(points.reshape(-1, 2), camera).reshape(points.shape) * camera.K[0, 0]
+
+
+def bent(points: Array, camera: CameraModel | None) -> Array:
+    """Returns where points without distortion lie in the image; the inverse of `straightened`."""
+    return points if camera is None else project_rays(points / camera.K[0, 0], camera)
+
+
+def without(lines: Lines, hidden: NDArray[np.bool_], corners: Array, unknown_px: float) -> Lines:
+    """Puts lines through corners in the place of hidden ones, of which nothing is known.
+
+    Args:
+        lines: Of which some could not be fitted.
+        hidden: Which, shape (m, 4).
+        corners: shape (m, 4, 2) [px].
+        unknown_px: How badly they are known [px].
+    """
+    along = corners[:, AFTER] - corners
+    length = np.maximum(np.hypot(along[..., 0], along[..., 1]), 1e-9)
+    normal = np.stack([along[..., 1], -along[..., 0]], axis=-1) / length[..., None]
+    offset = np.sum(normal * corners, axis=-1, keepdims=True)
+    given = np.concatenate([normal, offset], axis=-1)
+    middle = corners + 0.5 * along
+    count = (lines.scatter[:, None] / unknown_px) ** 2
+    return Lines(
+        np.where(hidden[..., None], given, lines.lines),
+        np.where(hidden[..., None], middle, lines.middle),
+        np.where(hidden, 0.5 * length, lines.spread),
+        np.where(hidden, count, lines.count),
+        lines.scatter,
+        lines.enough | hidden,
+    )
 
 
 def corner_covariance(corners: Array, lines: Lines) -> Array:
@@ -112,7 +143,7 @@ def corner_covariance(corners: Array, lines: Lines) -> Array:
     return np.asarray(root @ root.swapaxes(1, 2))
 
 
-def _lines(points: Array, good: NDArray[np.bool_], fits: int) -> Lines:
+def fitted_lines(points: Array, good: NDArray[np.bool_], fits: int) -> Lines:
     """Fits lines n . p = c by total least squares."""
     x, y = points[..., 0], points[..., 1]
     weights, middle = good.astype(float), points.shape[2] // 2

@@ -83,9 +83,9 @@ def refine_corners(
     covariance = np.tile(np.eye(8) * _UNFITTED_PX**2, (count, 1, 1))
     floor, usable = np.full(count, _UNFITTED_PX), np.zeros(count, dtype=bool)
     skew = np.zeros(count)
-    trust = np.maximum(_TRUST_PX, _TRUST_SHARE * _narrowest(refined))
+    trust = np.maximum(_TRUST_PX, _TRUST_SHARE * narrowest(refined))
     for number in range(_MOST_ROUNDS if count else 0):
-        points, good, shape = _edge_points(light, refined, cells, near=number > 0)
+        points, good, shape = edge_points(light, refined, cells, near=number > 0)
         crossing, lines, fitted = crossings(
             points, good, camera if number > 1 else None, min(number + 1, 2)
         )
@@ -98,23 +98,35 @@ def refine_corners(
         spread = corner_covariance(*lines)
         usable &= np.isfinite(spread).all(axis=(1, 2))
         covariance = np.where(usable[:, None, None], spread, covariance)
-        tail, half = _profile_shape(*shape, _narrowest(refined) / cells)
-        floor = np.where(usable, np.hypot(CORNER_FLOOR_PX, _MIXED_PX * tail), floor)
+        lasting, half = profile_shape(*shape, narrowest(refined) / cells)
+        floor = np.where(usable, lasting, floor)
         skew = np.where(usable, half, skew)
     return RefinedCorners(refined, covariance, floor, usable, skew)
 
 
-def _edge_points(
-    light: NDArray[np.float32], corners: Array, cells: int, *, near: bool
+def edge_points(
+    light: NDArray[np.float32],
+    corners: Array,
+    cells: int,
+    *,
+    near: bool,
+    allowed: NDArray[np.bool_] | None = None,
 ) -> tuple[Array, NDArray[np.bool_], _Profiles]:
     """Finds the edge's place on profiles across it.
 
     The area under the profile gives it: exact for any symmetric blur and any place of the edge
     between the pixels.
 
+    Args:
+        light: Grey image, shape (h, w).
+        corners: shape (m, 4, 2) [px].
+        cells: Cells along the side of a marker, its border included.
+        near: Whether the corners are as near as another round brings them.
+        allowed: Which places may show an edge, shape (m, 4, a); None = all.
+
     Returns:
         Points, shape (m, 4, a, 2) [px], which are good, shape (m, 4, a), and the profiles, as
-        `_profile_shape` takes them.
+        `profile_shape` takes them.
     """
     along = corners[:, AFTER] - corners
     length = np.sqrt(np.einsum("mei,mei->me", along, along))[..., None]
@@ -128,6 +140,8 @@ def _edge_points(
     step = outer - inner
     # Beyond the rim there is no white.
     good = (step > _LEAST_STEP) & inside
+    if allowed is not None:
+        good &= allowed
     shift = (2.0 * (outer - mean) / np.maximum(step, 1.0) - 1.0) * reach
     good &= np.abs(shift) < reach
     # Far from the edge, the ends of the profiles tell of other things.
@@ -163,20 +177,21 @@ def _gain(rise: Array, step: Array, good: NDArray[np.bool_]) -> Array:
     return np.maximum(1.0 - per_way, _LEAST_GAIN)[:, None, None]
 
 
-def _narrowest(corners: Array) -> Array:
+def narrowest(corners: Array) -> Array:
     """Returns the shortest sides of markers, shape (m,) [px]."""
     return np.asarray(np.linalg.norm(corners[:, AFTER] - corners, axis=2).min(axis=1))
 
 
-def _profile_shape(
+def profile_shape(
     values: NDArray[np.float32], step: Array, good: NDArray[np.bool_], reach: Array, cell: Array
 ) -> tuple[Array, Array]:
     """Looks at the mean profile across the edges of each marker, on which they lie in the middle.
 
     Returns:
-        How much of the blur reaches from the next cell, `cell` px inside the edge, to the end of
-        the profiles, by the steepest place of a step blurred by a Gaussian; and where the mean
-        profile is at half of its height [px]; shape (m,) each.
+        What of the corners' error does not get less with more images, by how much of the blur
+        reaches from the next cell, `cell` px inside the edge, to the end of the profiles: the
+        steepest place of a step blurred by a Gaussian tells the blur; and where the mean profile is
+        at half of its height; shape (m,) each [px].
     """
     weight = good / np.maximum(step, 1.0)
     count = np.maximum(good.sum(axis=(1, 2)), 1)
@@ -187,7 +202,8 @@ def _profile_shape(
     half = [np.interp(0.5 * at, row, _TICKS) for at, row in zip(level, mean, strict=True)]
     tells = (reach >= _LEAST_REACH_PX) & (width >= _LEAST_WIDTH_PX)
     skew = np.where(tells, np.array(half) * reach, 0.0)
-    return np.exp(-0.5 * ((cell - reach) / width) ** 2), skew
+    tail = np.exp(-0.5 * ((cell - reach) / width) ** 2)
+    return np.hypot(CORNER_FLOOR_PX, _MIXED_PX * tail), skew
 
 
 def looked_up(light: NDArray[np.float32], places: Array) -> NDArray[np.float32]:

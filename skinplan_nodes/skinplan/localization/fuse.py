@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from skinplan.errors import InputError
+from skinplan.localization.judge import observations
 from skinplan.localization.model import CameraModel, Detection, Observation, Sighting
-from skinplan.localization.observe import observations
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array
@@ -66,6 +66,7 @@ def fuse(
         duplicates=tuple(sorted(duplicates)),
         mirrored=tuple(sorted(mirrored)),
         covered=tuple(sorted({i for seen in sightings for i in seen.covered} - set(kept))),
+        partly=tuple(sorted({i for seen in sightings for i in seen.partly} & set(kept))),
         images=sum(seen.images for seen in sightings),
     )
 

@@ -11,13 +11,14 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.localization.edge_lines import intersections
+from skinplan.localization.edge_lines import bent, intersections, straightened
 from skinplan.localization.edges import looked_up
+from skinplan.localization.model import CameraModel
 from skinplan.localization.print_check import places_on, print_bits
 from skinplan.transforms import Array
 
-# Markers with smaller cells do not tell [px].
-LEAST_CELL_PX = 5.0
+# Markers with smaller cells do not tell how far black reaches, or whether the cells lie aside [px].
+LEAST_CELL_PX, _LEAST_ASIDE_CELL_PX = 5.0, 3.0
 # Profiles across an edge between two cells: half of their length in cells and at most in pixels,
 # places on them, how many at either end give the level; where along the edge they lie, in cells.
 _HALF, _HALF_PX, _LEVEL_TICKS = 0.45, 4.0, 2
@@ -30,48 +31,97 @@ _WEIGHTS[:, 2] = 1.0 / len(_AHEAD)
 _LEAST_STEP = 25.0
 _LEAST_EDGES = 12
 _UNKNOWN_PX = 1e3
+# Cells farther aside than this share of the side, and so many pixels: a strip over an edge puts
+# them aside by half of its width.
+_ASIDE_SHARE, _LEAST_ASIDE_PX = 0.006, 0.25
+# Without the camera, so many times as far: an unknown distortion bends the grid.
+_UNKNOWN_BEND = 3.0
 # Shifts below this, or below so many standard deviations, are none.
 _LEAST_PX, _LEAST_SIGMA = 0.02, 3.0
 
 
 def edge_growth(
-    light: NDArray[np.float32], ids: NDArray[np.int64], corners: Array, book: cv2.aruco.Dictionary
-) -> tuple[Array, Array]:
-    """Measures how far black reaches over the edges of its cells.
+    light: NDArray[np.float32],
+    ids: NDArray[np.int64],
+    corners: Array,
+    book: cv2.aruco.Dictionary,
+    camera: CameraModel | None = None,
+) -> tuple[Array, Array, Array]:
+    """Measures how far black reaches over the edges of its cells, and how far these are off.
 
     Args:
         light: Grey image, shape (h, w).
         ids: shape (m,).
         corners: shape (m, 4, 2) [px].
         book: The dictionary.
+        camera: Its distortion bends the grid of the cells; None = as small as a marker is, it does
+            not.
 
     Returns:
-        The shift, positive where black is larger, and its standard deviation, shape (m,) each [px].
-        Markers that do not tell have 0 and a very large one.
+        The shift, positive where black is larger, its standard deviation, and how far the cells lie
+        aside of where the corners put them, shape (m,) each [px]. Markers that do not tell have 0,
+        a very large one, and 0.
     """
-    growth, sigma = np.zeros(len(ids)), np.full(len(ids), _UNKNOWN_PX)
+    growth, sigma, aside = np.zeros(len(ids)), np.full(len(ids), _UNKNOWN_PX), np.zeros(len(ids))
     cells = int(book.markerSize) + 2
     side = np.linalg.norm(corners - corners[:, [3, 0, 1, 2]], axis=2).min(axis=1)
-    tell = np.flatnonzero(side >= LEAST_CELL_PX * cells).tolist()
+    tell = np.flatnonzero(side >= _LEAST_ASIDE_CELL_PX * cells).tolist()
     if not tell:
-        return growth, sigma
-    ats, signs, levers = [], [], []
+        return growth, sigma, aside
+    ats, signs, levers, axes = [], [], [], []
+    straight = straightened(corners, camera)
     for k in tell:
         middle, across, sign, lever = _edges_of(print_bits(book, int(ids[k])), cells)
         half = min(_HALF, _HALF_PX * cells / side[k]) * _AHEAD[:, None]
         places = (middle[:, None] + half * across[:, None]) / cells
-        ats.append(places_on(corners[None, k], places[None, ..., 0], places[None, ..., 1])[0])
+        ats.append(places_on(straight[None, k], places[None, ..., 0], places[None, ..., 1])[0])
         signs.append(sign)
         levers.append(lever)
+        axes.append(across[:, 0] > 0.5)
     # All at once: most of the time is that of the calls.
-    at, sign, lever = np.concatenate(ats), np.concatenate(signs), np.concatenate(levers)
+    at = bent(np.concatenate(ats), camera)
+    sign, lever = np.concatenate(signs), np.concatenate(levers)
     good, moved = _moved(looked_up(light, at), at, sign)
     ends = np.cumsum([len(item) for item in signs]).tolist()
-    for k, begin, end in zip(tell, [0, *ends], ends, strict=False):
+    for k, axis, begin, end in zip(tell, axes, [0, *ends], ends, strict=False):
         own = good[begin:end]
         if own.sum() >= _LEAST_EDGES:
-            growth[k], sigma[k] = _shift(moved[begin:end][own], lever[begin:end][own])
-    return growth, sigma
+            shift, error = _shift(moved[begin:end][own], lever[begin:end][own])
+            aside[k] = _aside(moved[begin:end][own], lever[begin:end][own] * shift, axis[own])
+            if side[k] >= LEAST_CELL_PX * cells:
+                growth[k], sigma[k] = shift, error
+    return growth, sigma, aside
+
+
+def lie_aside(
+    light: NDArray[np.float32],
+    ids: NDArray[np.int64],
+    corners: Array,
+    aside: Array,
+    book: cv2.aruco.Dictionary,
+    camera: CameraModel | None,
+) -> NDArray[np.bool_]:
+    """Tells whose cells do not lie where the corners put them: something covers an edge.
+
+    Args:
+        light: Grey image, shape (h, w).
+        ids: shape (m,).
+        corners: shape (m, 4, 2) [px].
+        aside: As `edge_growth` returns it [px].
+        book: The dictionary.
+        camera: Looked at where the distortion may be what bends the grid; None = not known.
+
+    Returns:
+        shape (m,).
+    """
+    side = np.linalg.norm(corners - corners[:, [3, 0, 1, 2]], axis=2).min(axis=1)
+    bound = np.maximum(_ASIDE_SHARE * side, _LEAST_ASIDE_PX)
+    if camera is None:
+        bound *= _UNKNOWN_BEND
+    odd = aside > bound
+    if camera is not None and odd.any():
+        odd[odd] = edge_growth(light, ids[odd], corners[odd], book, camera)[2] > bound[odd]
+    return np.asarray(odd)
 
 
 def common_growth(growth: Array, sigma: Array) -> float:
@@ -110,6 +160,12 @@ def _shift(moved: Array, arm: Array) -> tuple[float, float]:
     scatter = float(np.var(moved - shift * arm))
     # The profiles along one edge share their noise.
     return shift, float(np.sqrt(scatter * len(_ALONG) / squares))
+
+
+def _aside(moved: Array, grown: Array, axis: NDArray[np.bool_]) -> float:
+    """Returns how far the edges of the cells are off along either axis, on an average [px]."""
+    off = moved - grown
+    return max(abs(float(off[own].mean())) if own.any() else 0.0 for own in (axis, ~axis))
 
 
 @lru_cache(maxsize=4096)

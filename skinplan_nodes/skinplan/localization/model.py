@@ -38,6 +38,7 @@ class Detection:
         duplicates: Ids that are there at several places; they name no marker and are left out.
         mirrored: Ids that are there as their mirror image: printed or looked at the wrong way.
         covered: Ids whose print does not lie where their corners say: something covers an edge.
+        growth_px: By how much black reaches over its edges; it has been taken off the corners.
     """
 
     ids: NDArray[np.int64]
@@ -47,6 +48,7 @@ class Detection:
     duplicates: tuple[int, ...] = ()
     mirrored: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
+    growth_px: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +100,8 @@ class Sighting:
         duplicates: Ids of the fixture that are there several times; they are left out.
         mirrored: Ids of the fixture that are there mirrored; they are left out.
         covered: Ids of the fixture that are partly hidden; they are left out.
+        partly: Ids of markers that are partly hidden and count with the edges that are seen: where
+            the others expect them. Of a hidden edge their corners know nothing.
         images: How many images it is made of.
     """
 
@@ -106,6 +110,7 @@ class Sighting:
     duplicates: tuple[int, ...] = ()
     mirrored: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
+    partly: tuple[int, ...] = ()
     images: int = 1
 
 

@@ -1,32 +1,16 @@
-"""From an image to the fixture's markers, each judged (M1.2)."""
-
-import logging
-from dataclasses import replace
+"""From an image to the fixture's markers (M1.2)."""
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import ImageInvalidError
 from skinplan.localization.camera import require_camera
-from skinplan.localization.detect import MarkerDetector
-from skinplan.localization.model import CameraModel, Detection, Observation, Sighting
-from skinplan.localization.quality import angle_and_distance, marker_quality
-from skinplan.localization.solve import (
-    Solutions,
-    refine,
-    square_corners,
-    square_solutions,
-    turned_by,
-    whitening,
-)
+from skinplan.localization.detect import MarkerDetector, grey_image
+from skinplan.localization.judge import judged
+from skinplan.localization.model import CameraModel, Sighting
+from skinplan.localization.partly import completed
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
-from skinplan.transforms import Array
-
-log = logging.getLogger(__name__)
-
-# Poses less turned than this against each other are one pose.
-SAME_POSE_RAD = float(np.radians(1.0))
 
 
 def observe(
@@ -53,8 +37,11 @@ def observe(
     """
     camera = require_camera(camera)
     require_size(image, camera)
-    found = MarkerDetector(fixture.dictionary, corners).find(image, camera)
-    return judged(found, camera, fixture, quality)
+    detector = MarkerDetector(fixture.dictionary, corners)
+    grey = grey_image(image)
+    found = detector.find(grey, camera)
+    seen = judged(found, camera, fixture, quality)
+    return completed(seen, found, grey, detector.book, camera, fixture, quality)
 
 
 def require_size(image: NDArray[np.uint8], camera: CameraModel) -> None:
@@ -68,121 +55,3 @@ def require_size(image: NDArray[np.uint8], camera: CameraModel) -> None:
             f"an image of {camera.width} x {camera.height} px, as the camera model says, is "
             f"accepted, found shape {np.shape(image)}"
         )
-
-
-def judged(
-    found: Detection, camera: CameraModel, fixture: Fixture, quality: QualitySettings
-) -> Sighting:
-    """Judges the markers of a detection and sorts out those that are not the fixture's."""
-    own = [marker.id for marker in fixture.markers]
-    known = np.isin(found.ids, own)
-    kept = replace(
-        found,
-        ids=found.ids[known],
-        corners=found.corners[known],
-        covariance=found.covariance[known],
-        floor_px=found.floor_px[known],
-    )
-    return Sighting(
-        observations(kept, camera, fixture, quality),
-        unknown=tuple(found.ids[~known].tolist()),
-        duplicates=tuple(i for i in found.duplicates if i in own),
-        mirrored=tuple(i for i in found.mirrored if i in own),
-        covered=tuple(i for i in found.covered if i in own),
-    )
-
-
-def observations(
-    found: Detection, camera: CameraModel, fixture: Fixture, quality: QualitySettings
-) -> tuple[Observation, ...]:
-    """Judges markers that are all of the fixture.
-
-    Args:
-        found: The markers.
-        camera: The camera.
-        fixture: Sizes of the markers.
-        quality: Figures of eq (3).
-
-    Returns:
-        One observation per marker; a marker with degenerate corners is left out.
-    """
-    sizes = {marker.id: marker.size_m for marker in fixture.markers}
-    starts, owner = [], []
-    for number, marker_id in enumerate(found.ids.tolist()):
-        poses = square_solutions(found.corners[number], sizes[marker_id], camera)
-        starts += poses
-        owner += [number] * len(poses)
-        if not poses:
-            log.warning("marker %d: no pose explains its corners", marker_id)
-    if not starts:
-        return ()
-    squares = np.array([square_corners(sizes[i]) for i in found.ids.tolist()])
-    whiten = whitening(found.covariance, found.floor_px)
-    solved = refine(
-        np.array(starts),
-        squares[owner][:, None],
-        found.corners[owner][:, None],
-        whiten[owner][:, None],
-        camera,
-    )
-    return tuple(
-        _observation(
-            found,
-            number,
-            sizes[int(found.ids[number])],
-            solved,
-            [k for k, of in enumerate(owner) if of == number],
-            quality,
-        )
-        for number in sorted(set(owner))
-    )
-
-
-def exact_detection(ids: NDArray[np.int64], corners: Array, noise_px: float) -> Detection:
-    """Returns corners of which it is known how far they are off, all alike and independent.
-
-    Args:
-        ids: shape (m,).
-        corners: shape (m, 4, 2) [px].
-        noise_px: Standard deviation of each coordinate [px].
-    """
-    covariance = np.tile(np.eye(8) * noise_px**2, (len(ids), 1, 1))
-    return Detection(ids, corners, covariance, np.zeros(len(ids)))
-
-
-def ambiguity(best: Array, second: Array, best_px: float, second_px: float) -> float:
-    """Returns best over second error; 0 where both are one pose, 1 where neither has any error."""
-    if turned_by(best, second) <= SAME_POSE_RAD:
-        return 0.0
-    return best_px / second_px if second_px > 1e-9 else 1.0
-
-
-def _observation(
-    found: Detection,
-    number: int,
-    size_m: float,
-    solved: Solutions,
-    own: list[int],
-    quality: QualitySettings,
-) -> Observation:
-    best, *others = sorted(own, key=lambda k: float(solved.error_px[k]))
-    second = others[-1] if others else best
-    pose, other = solved.poses[best], solved.poses[second]
-    errors = float(solved.error_px[best]), float(solved.error_px[second])
-    angle, distance = angle_and_distance(pose)
-    return Observation(
-        id=int(found.ids[number]),
-        size_m=size_m,
-        corners=found.corners[number],
-        corner_covariance=found.covariance[number],
-        corner_floor_px=float(found.floor_px[number]),
-        T_camera_marker=pose,
-        covariance=solved.covariance[best],
-        reprojection_error_px=errors[0],
-        T_camera_second=other,
-        second_error_px=errors[1],
-        ambiguity_ratio=ambiguity(pose, other, *errors),
-        distance_m=distance,
-        angle_rad=angle,
-        quality=marker_quality(angle, distance, quality),
-    )

@@ -1,7 +1,6 @@
 """From the markers of a sighting to the pose of the workpiece (M1.1, M1.2)."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,18 +11,19 @@ from skinplan.errors import (
     NoMarkerError,
     WrongMarkerError,
 )
+from skinplan.localization.bundle import Bundle, bundle_of, strain
 from skinplan.localization.camera import in_view, require_camera
 from skinplan.localization.edge_lines import narrowest_px
+from skinplan.localization.judge import SAME_POSE_RAD, ambiguity
 from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
-from skinplan.localization.observe import SAME_POSE_RAD, ambiguity
 from skinplan.localization.quality import angle_and_distance, marker_quality
 from skinplan.localization.solve import (
     Solutions,
+    largest_by_chance,
     marker_errors,
     refine,
     square_corners,
     turned_by,
-    whitening,
 )
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
@@ -39,6 +39,8 @@ _SECOND_TRIES = 2
 # The edges of narrower markers can't be told from their cells; they count only without better ones.
 CLEAR_SIDE_PX = 20.0
 _ENOUGH_CLEAR = 2
+# So many markers tell which one of them is wrong.
+_LEAST_TO_CONTRADICT = 3
 # Corners farther off than this do not belong to the fixture as it is described.
 REPROJECTION_MAX_PX = 3.0
 # The pose of one marker, carried to another, is that far off at most: share of the other's side.
@@ -47,24 +49,6 @@ _AGREES_SHARE = 0.5
 _HIDDEN_RIM_PX = 12.0
 _HIDDEN_COSINE = 0.35
 _HIDDEN_SIDE_PX = 28.0
-
-
-@dataclass(frozen=True, eq=False)
-class _Bundle:
-    """Markers of one sighting as one body."""
-
-    markers: tuple[Observation, ...]
-    points: Array
-    pixels: Array
-    whiten: Array
-
-    def only(self, keep: NDArray[np.bool_]) -> "_Bundle":
-        markers = tuple(m for m, kept in zip(self.markers, keep, strict=True) if kept)
-        return _Bundle(markers, self.points[keep], self.pixels[keep], self.whiten[keep])
-
-    @property
-    def ids(self) -> list[int]:
-        return [marker.id for marker in self.markers]
 
 
 def locate(
@@ -97,7 +81,7 @@ def locate(
         AmbiguousPoseError: A second pose explains the image about equally well.
     """
     camera = require_camera(camera)
-    bundle = _bundle(_usable(seen, fixture), fixture)
+    bundle = bundle_of(_usable(seen, fixture), fixture)
     if len(bundle.markers) == 1:
         kept, (best, second) = bundle, _alone(bundle, fixture)
     else:
@@ -117,7 +101,7 @@ def locate(
         marker_ids=np.array(kept.ids, dtype=np.int64),
         ambiguity_ratio=ratio,
         rejected_ids=np.array(sorted(set(bundle.ids) - set(kept.ids)), dtype=np.int64),
-        hidden_ids=_hidden(pose, seen, camera, fixture),
+        hidden_ids=hidden_ids(pose, seen, camera, fixture),
     )
 
 
@@ -149,17 +133,7 @@ def _usable(seen: Sighting, fixture: Fixture) -> tuple[Observation, ...]:
     return tuple(clear if len(clear) >= _ENOUGH_CLEAR else used)
 
 
-def _bundle(markers: tuple[Observation, ...], fixture: Fixture) -> _Bundle:
-    points = [
-        apply(fixture.T_workpiece_marker(item.id), square_corners(item.size_m)) for item in markers
-    ]
-    covariance = np.array([item.corner_covariance for item in markers])
-    floor = np.array([item.corner_floor_px for item in markers])
-    pixels = np.array([item.corners for item in markers])
-    return _Bundle(markers, np.array(points), pixels, whitening(covariance, floor))
-
-
-def _alone(bundle: _Bundle, fixture: Fixture) -> tuple[_Solution, _Solution | None]:
+def _alone(bundle: Bundle, fixture: Fixture) -> tuple[_Solution, _Solution | None]:
     """Carries the two solutions of the only marker to the workpiece."""
     item = bundle.markers[0]
     if item.reprojection_error_px > REPROJECTION_MAX_PX:
@@ -177,8 +151,8 @@ def _alone(bundle: _Bundle, fixture: Fixture) -> tuple[_Solution, _Solution | No
 
 
 def _together(
-    bundle: _Bundle, fixture: Fixture, camera: CameraModel
-) -> tuple[_Bundle, _Solution, _Solution | None]:
+    bundle: Bundle, fixture: Fixture, camera: CameraModel
+) -> tuple[Bundle, _Solution, _Solution | None]:
     """Solves for the pose of several markers; the markers that agree, the best, the second."""
     starts = np.array(
         [
@@ -194,7 +168,7 @@ def _together(
     return kept, _solution(found, int(order[0])), second
 
 
-def _agreed(bundle: _Bundle, starts: Array, camera: CameraModel) -> tuple[_Bundle, Solutions]:
+def _agreed(bundle: Bundle, starts: Array, camera: CameraModel) -> tuple[Bundle, Solutions]:
     """Finds the largest set of markers that one pose explains.
 
     Returns:
@@ -221,7 +195,26 @@ def _agreed(bundle: _Bundle, starts: Array, camera: CameraModel) -> tuple[_Bundl
         kept = kept.only(errors_px < worst)
     if 2 * len(kept.markers) <= len(bundle.markers):
         raise _mismatch(bundle, float(errors[first].max()))
-    return kept, found
+    return _unstrained(kept, found, tried, camera, len(bundle.markers))
+
+
+def _unstrained(
+    kept: Bundle, found: Solutions, tried: Array, camera: CameraModel, count: int
+) -> tuple[Bundle, Solutions]:
+    """Leaves markers out that the others contradict beyond chance: a thin cover over an edge.
+
+    Where no more than half had to go and the rest is still in contradiction, nothing is left out:
+    then it is the fixture, or the camera, and the covariance grows with the residuals.
+    """
+    fewer, solved = kept, found
+    while True:
+        by_marker = strain(solved.poses[int(np.argmin(solved.error_px))], fewer, camera)
+        if by_marker.sum() <= largest_by_chance(8 * len(by_marker) - 6):
+            return fewer, solved
+        if len(by_marker) < _LEAST_TO_CONTRADICT or 2 * (len(by_marker) - 1) <= count:
+            return kept, found
+        fewer = fewer.only(np.arange(len(by_marker)) != int(np.argmax(by_marker)))
+        solved = refine(tried, fewer.points, fewer.pixels, fewer.whiten, camera)
 
 
 def _solution(found: Solutions, number: int) -> _Solution:
@@ -236,11 +229,12 @@ def _view(
     return marker_quality(angle, distance, quality), angle, distance
 
 
-def _hidden(
+def hidden_ids(
     pose: Array, seen: Sighting, camera: CameraModel, fixture: Fixture
 ) -> NDArray[np.int64]:
-    """Returns the markers that should be seen by a pose, and are not."""
+    """Returns the markers that should be seen by a pose, and are not, or in part only."""
     found = {*(item.id for item in seen.markers), *seen.duplicates, *seen.mirrored}
+    found -= set(seen.partly)
     missing = [marker for marker in fixture.markers if marker.id not in found]
     if not missing:
         return np.zeros(0, dtype=np.int64)
@@ -258,7 +252,7 @@ def _hidden(
     return np.asarray(ids[clear & inside])
 
 
-def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:
+def _mismatch(bundle: Bundle, error_px: float) -> FixtureMismatchError:
     return FixtureMismatchError(
         f"the best pose leaves {error_px:.1f} px at markers {bundle.ids}; at most "
         f"{REPROJECTION_MAX_PX} px at more than half of them is accepted: the markers are not "
@@ -267,7 +261,7 @@ def _mismatch(bundle: _Bundle, error_px: float) -> FixtureMismatchError:
 
 
 def _ambiguous(
-    kept: _Bundle, pose: Array, second: _Solution, error_px: float, accepted: float
+    kept: Bundle, pose: Array, second: _Solution, error_px: float, accepted: float
 ) -> AmbiguousPoseError:
     apart = np.degrees(turned_by(pose, second[0]))
     return AmbiguousPoseError(

@@ -183,7 +183,7 @@ def _solutions(
     free = max(8 * points.shape[1] - 6, 1)
     normal, cost = squares[:, :6, :6], squares[:, 6, 6]
     usual = (_PRIOR_COUNT + cost) / (_PRIOR_COUNT + free)
-    growth = np.where(cost > _largest_by_chance(free), cost / free, usual)
+    growth = np.where(cost > largest_by_chance(free), cost / free, usual)
     # The ridge keeps a pose invertible of which the pixels tell nothing; it is far below any other.
     ridge = np.einsum("bii->b", normal)[:, None, None] * _RIDGE + _LEAST_SCALE
     covariance = growth[:, None, None] * np.linalg.inv(normal + ridge * np.eye(6))
@@ -196,7 +196,8 @@ def _solutions(
 
 
 @lru_cache(maxsize=256)
-def _largest_by_chance(free: int) -> float:
+def largest_by_chance(free: int) -> float:
+    """Returns the sum of squared normalised residuals that chance exceeds once in a thousand."""
     return float(chi2.ppf(_CHANCE, free))
 
 

@@ -6,8 +6,10 @@ from numpy.typing import NDArray
 from skinplan.localization.camera import require_camera
 from skinplan.localization.detect import MarkerDetector, Window, grey_image
 from skinplan.localization.edge_lines import narrowest_px
+from skinplan.localization.judge import judged
 from skinplan.localization.model import CameraModel, Sighting
-from skinplan.localization.observe import judged, require_size
+from skinplan.localization.observe import require_size
+from skinplan.localization.partly import completed
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array
@@ -47,21 +49,22 @@ class MarkerTracker:
         grey = grey_image(image)
         windows = self._windows(grey.shape[1], grey.shape[0])
         self.windowed = windows is not None
-        seen = None
+        found, seen = None, None
         if windows is not None and self._last is not None:
             ids = [item.id for item in self._last.markers]
             found = self._detector.find(grey, camera, windows, ids)
             seen = judged(found, camera, self._fixture, self._quality)
             if not _same(seen, self._last):
                 seen, self.windowed = None, False
-        if seen is None:
+        if found is None or seen is None:
             self._since_whole = 0
             found = self._detector.find(grey, camera)
             seen = judged(found, camera, self._fixture, self._quality)
         else:
             self._since_whole += 1
         self._last = seen
-        return seen
+        book = self._detector.book
+        return completed(seen, found, grey, book, camera, self._fixture, self._quality)
 
     def _windows(self, width: int, height: int) -> list[Window] | None:
         """Returns where to look; None = everywhere."""
