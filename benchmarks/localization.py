@@ -27,7 +27,7 @@ from skinplan.localization.detect import MarkerDetector
 from skinplan.localization.model import WorkpiecePose
 from skinplan.localization.observe import observe
 from skinplan.localization.pose import locate
-from skinplan.localization.solve import square_corners
+from skinplan.localization.square import square_corners
 from skinplan.localization.tracking import MarkerTracker
 from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.mock.camera import MockCamera

@@ -5,7 +5,7 @@ import numpy as np
 from skinplan.localization.camera import camera_model, in_view, project
 from skinplan.localization.judge import exact_detection, observations
 from skinplan.localization.model import Sighting
-from skinplan.localization.solve import square_corners
+from skinplan.localization.square import square_corners
 from skinplan.part.model import Fixture, Marker
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import apply, inverse, planar, transform

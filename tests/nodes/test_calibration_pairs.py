@@ -12,7 +12,7 @@ from localization_scene import CAMERA, CELL, project
 from skinplan.cli import app
 from skinplan.localization.judge import exact_detection, observations
 from skinplan.localization.model import Sighting
-from skinplan.localization.solve import square_corners
+from skinplan.localization.square import square_corners
 from skinplan.part.fields import Fields
 from skinplan.part.model import Fixture, Marker
 from skinplan.recording.bag import BagWriter

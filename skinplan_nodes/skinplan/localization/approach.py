@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from skinplan.errors import QualityNotReachedError
 from skinplan.localization.camera import in_view
 from skinplan.localization.model import CameraModel, WorkpiecePose
-from skinplan.localization.solve import square_corners
+from skinplan.localization.square import square_corners
 from skinplan.localization.way import plan_way
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import CellConfig

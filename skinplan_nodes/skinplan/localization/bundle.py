@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from skinplan.localization.camera import project
 from skinplan.localization.model import CameraModel, Observation
-from skinplan.localization.solve import square_corners, whitening
+from skinplan.localization.solve import whitening
+from skinplan.localization.square import square_corners
 from skinplan.part.model import Fixture
 from skinplan.transforms import Array, apply
 

@@ -11,11 +11,10 @@ from skinplan.localization.quality import angle_and_distance, marker_quality
 from skinplan.localization.solve import (
     Solutions,
     refine,
-    square_corners,
-    square_solutions,
     turned_by,
     whitening,
 )
+from skinplan.localization.square import square_corners, square_solutions
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array
@@ -63,19 +62,17 @@ def observations(
         One observation per marker; a marker with degenerate corners is left out.
     """
     sizes = {marker.id: marker.size_m for marker in fixture.markers}
-    starts, owner = [], []
-    for number, marker_id in enumerate(found.ids.tolist()):
-        poses = square_solutions(found.corners[number], sizes[marker_id], camera)
-        starts += poses
-        owner += [number] * len(poses)
-        if not poses:
-            log.warning("marker %d: no pose explains its corners", marker_id)
-    if not starts:
+    of_found = np.array([sizes[marker_id] for marker_id in found.ids.tolist()])
+    both = square_solutions(found.corners, of_found, camera)
+    owner, which = np.nonzero(np.isfinite(both[..., 0, 0]))
+    for number in sorted(set(range(len(found.ids))) - set(owner.tolist())):
+        log.warning("marker %d: no pose explains its corners", found.ids[number])
+    if len(owner) == 0:
         return ()
-    squares = np.array([square_corners(sizes[i]) for i in found.ids.tolist()])
+    squares = np.array([square_corners(size) for size in of_found])
     whiten = whitening(found.covariance, found.floor_px)
     solved = refine(
-        np.array(starts),
+        both[owner, which],
         squares[owner][:, None],
         found.corners[owner][:, None],
         whiten[owner][:, None],
@@ -85,12 +82,12 @@ def observations(
         _observation(
             found,
             number,
-            sizes[int(found.ids[number])],
+            float(of_found[number]),
             solved,
-            [k for k, of in enumerate(owner) if of == number],
+            np.flatnonzero(owner == number).tolist(),
             quality,
         )
-        for number in sorted(set(owner))
+        for number in sorted(set(owner.tolist()))
     )
 
 

@@ -36,7 +36,8 @@ from skinplan.localization.model import (
 )
 from skinplan.localization.pose import hidden_ids, locate
 from skinplan.localization.print_check import places_on, print_bits
-from skinplan.localization.solve import largest_by_chance, refine, square_corners
+from skinplan.localization.solve import largest_by_chance, refine
+from skinplan.localization.square import square_corners
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array, apply, inverse

@@ -22,9 +22,9 @@ from skinplan.localization.solve import (
     largest_by_chance,
     marker_errors,
     refine,
-    square_corners,
     turned_by,
 )
+from skinplan.localization.square import square_corners
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array, apply, inverse

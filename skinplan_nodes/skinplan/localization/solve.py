@@ -1,9 +1,8 @@
-"""Pose from points and their pixels: the two solutions of a square, and least squares over many."""
+"""Pose from points and their pixels by least squares, many starts at once."""
 
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from scipy.stats import chi2
 
@@ -47,41 +46,6 @@ class Solutions:
     covariance: Array
     error_px: Array
     marker_error_px: Array
-
-
-def square_corners(size_m: float) -> Array:
-    """Returns top left, top right, bottom right, bottom left of a marker, shape (4, 3) [m]."""
-    half = 0.5 * size_m
-    return np.array(
-        [[-half, half, 0.0], [half, half, 0.0], [half, -half, 0.0], [-half, -half, 0.0]]
-    )
-
-
-def square_solutions(corners: Array, size_m: float, camera: CameraModel) -> list[Array]:
-    """Returns the poses that explain the image of a square: two, or one where they coincide.
-
-    Args:
-        corners: In the order of `square_corners`, shape (4, 2) [px].
-        size_m: Side of the square [m].
-        camera: The camera.
-
-    Returns:
-        ``T_camera_marker``, shape (4, 4) [m] each; empty where the corners are degenerate.
-    """
-    _, turns, places, _ = cv2.solvePnPGeneric(
-        square_corners(size_m),
-        np.asarray(corners, dtype=float),
-        camera.K,
-        camera.D,
-        flags=cv2.SOLVEPNP_IPPE_SQUARE,
-    )
-    poses = []
-    for turn, place in zip(turns, places, strict=True):
-        if np.all(np.isfinite(turn)) and np.all(np.isfinite(place)) and place[2, 0] > 0.0:
-            pose = np.eye(4)
-            pose[:3, :3], pose[:3, 3] = cv2.Rodrigues(turn)[0], place.ravel()
-            poses.append(pose)
-    return poses
 
 
 def turned_by(pose: Array, others: Array) -> Array:
