@@ -20,6 +20,9 @@ _LEAST_BOUND_PX = 0.05
 # What the lines scatter more than their points say, the outliers left out and the levels of each
 # profile among it; measured on rendered images, see docs/localization.md.
 _BEYOND_POINTS = 1.04
+# Weights by scatters that are themselves estimated are too large on an average: by 2 over their
+# degrees of freedom of one marker, by 4 of many.
+_BY_ESTIMATE = 3.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -166,12 +169,13 @@ def fitted_lines(points: Array, good: NDArray[np.bool_], fits: int) -> Lines:
     step = np.hypot(x[..., -1] - x[..., 0], y[..., -1] - y[..., 0]) / (x.shape[-1] - 1)
     count = np.maximum(total * _independent(step), _LEAST_COUNT)
     free = np.maximum((total * (1.0 - 2.0 / count)).sum(axis=1), 1.0)
+    growth = 1.0 + _BY_ESTIMATE / np.maximum((count - 2.0).sum(axis=1), 1.0)
     return Lines(
         np.stack([normal_x, normal_y, normal_x * at_x + normal_y * at_y], axis=-1),
         np.stack([at_x, at_y], axis=-1),
         spread,
         count,
-        _BEYOND_POINTS * np.sqrt(squares.sum(axis=1) / free),
+        _BEYOND_POINTS * np.sqrt(growth * squares.sum(axis=1) / free),
         weights.mean(axis=-1) >= _LEAST_POINTS,
     )
 

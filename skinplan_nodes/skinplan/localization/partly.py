@@ -112,6 +112,15 @@ def completed(
     )
 
 
+def misses_any(seen: Sighting, camera: CameraModel, fixture: Fixture) -> bool:
+    """Tells whether markers should be seen, by the largest one that is, and are not."""
+    if not seen.markers:
+        return False
+    best = max(seen.markers, key=lambda item: narrowest_px(item.corners))
+    rough = best.T_camera_marker @ inverse(fixture.T_workpiece_marker(best.id))
+    return len(hidden_ids(rough, seen, camera, fixture)) > 0
+
+
 def _agreeing(
     seen: Sighting,
     added: tuple[Observation, ...],
@@ -140,10 +149,8 @@ def _expected(
     known = [item for item in seen.markers if item.corner_floor_px <= _WORST_FLOOR_PX]
     if not known:
         return None
-    # First by one marker: mostly none is missed, and then nothing has to be solved.
-    best = max(known, key=lambda item: narrowest_px(item.corners))
-    rough = best.T_camera_marker @ inverse(fixture.T_workpiece_marker(best.id))
-    if len(hidden_ids(rough, seen, camera, fixture)) == 0:
+    # Mostly none is missed, and then nothing has to be solved.
+    if not misses_any(seen, camera, fixture):
         return None
     try:
         pose = locate(replace(seen, markers=tuple(known)), camera, fixture, quality)

@@ -72,22 +72,31 @@ def _turns(middle: Array, slope: Array) -> Array:
     """Returns the two turns of planes, shape (m, 2, 3, 3), by `_middle` per metre."""
     facing = _facing(middle)
     across = facing[:, :2, :2] - middle[:, :, None] * facing[:, 2:, :2]
-    seen = np.full_like(slope, np.nan)
-    well = np.isfinite(slope).all(axis=(1, 2)) & np.isfinite(across).all(axis=(1, 2))
-    seen[well] = np.linalg.solve(across[well], slope[well])
-    squared = seen @ seen.swapaxes(1, 2)
-    a, b, d = squared[:, 0, 0], squared[:, 0, 1], squared[:, 1, 1]
+    seen = _inverse(across) @ slope
+    a, b = np.einsum("mij,mij->mi", seen, seen).T, np.einsum("mi,mi->m", seen[:, 0], seen[:, 1])
     # The larger singular value is that of the direction that is not foreshortened.
-    largest = np.sqrt(0.5 * (a + d + np.sqrt((a - d) ** 2 + 4.0 * b**2)))
-    upper = seen / largest[:, None, None]
-    rest = np.eye(2) - upper.swapaxes(1, 2) @ upper
-    lower = np.sqrt(np.maximum(rest[:, [0, 1], [0, 1]], 0.0))
-    lower[:, 1] *= np.where(rest[:, 0, 1] < 0.0, -1.0, 1.0)
-    lower = lower[:, None] * np.array([[1.0], [-1.0]])
-    upper = np.broadcast_to(upper[:, None], (len(upper), 2, 2, 2))
-    columns = np.concatenate([upper, lower[:, :, None]], axis=2)
-    third = np.cross(columns[..., 0], columns[..., 1])
-    return np.asarray(facing[:, None] @ np.concatenate([columns, third[..., None]], axis=3))
+    largest = np.sqrt(0.5 * (a[0] + a[1] + np.sqrt((a[0] - a[1]) ** 2 + 4.0 * b * b)))
+    columns = np.empty((len(middle), 2, 3, 3))
+    columns[:, :, :2, :2] = (seen / largest[:, None, None])[:, None]
+    x, y = columns[:, 0, :2, 0], columns[:, 0, :2, 1]
+    # What the columns lack to length 1, and to a right angle between them.
+    lower_x = np.sqrt(np.maximum(1.0 - np.einsum("mi,mi->m", x, x), 0.0))
+    lower_y = np.sqrt(np.maximum(1.0 - np.einsum("mi,mi->m", y, y), 0.0))
+    lower_y *= np.where(np.einsum("mi,mi->m", x, y) > 0.0, -1.0, 1.0)
+    columns[:, 0, 2, 0], columns[:, 0, 2, 1] = lower_x, lower_y
+    columns[:, 1, 2, 0], columns[:, 1, 2, 1] = -lower_x, -lower_y
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        columns[..., i, 2] = (
+            columns[..., j, 0] * columns[..., k, 1] - columns[..., k, 0] * columns[..., j, 1]
+        )
+    return np.asarray(facing[:, None] @ columns)
+
+
+def _inverse(square: Array) -> Array:
+    """Inverts matrices, shape (m, 2, 2); infinite or NaN where there is no inverse."""
+    a, b, c, d = square[:, 0, 0], square[:, 0, 1], square[:, 1, 0], square[:, 1, 1]
+    adjoint = np.stack([d, -b, -c, a], axis=-1).reshape(-1, 2, 2)
+    return np.asarray(adjoint / (a * d - b * c)[:, None, None])
 
 
 def _facing(middle: Array) -> Array:
@@ -111,15 +120,9 @@ def _places(turns: Array, rays: Array, half: Array) -> Array:
     points = np.einsum("mkij,mcj->mkci", turns[..., :2], flat)
     u, v = rays[:, None, :, 0], rays[:, None, :, 1]
     # Rows (1, 0, -u) and (0, 1, -v) times the place are the right side for each corner.
-    ahead = u * points[..., 2] - points[..., 0], v * points[..., 2] - points[..., 1]
-    u, v = np.broadcast_to(u, ahead[0].shape), np.broadcast_to(v, ahead[0].shape)
-    normal = np.zeros((*turns.shape[:2], 3, 3))
-    normal[..., 0, 0] = normal[..., 1, 1] = 4.0
-    normal[..., 0, 2] = normal[..., 2, 0] = -u.sum(axis=-1)
-    normal[..., 1, 2] = normal[..., 2, 1] = -v.sum(axis=-1)
-    normal[..., 2, 2] = (u * u + v * v).sum(axis=-1)
-    side = np.stack([item.sum(axis=-1) for item in (*ahead, -u * ahead[0] - v * ahead[1])], axis=-1)
-    places = np.full_like(side, np.nan)
-    well = np.isfinite(side).all(axis=-1) & (np.abs(np.linalg.det(normal)) > _LEAST_AREA**2)
-    places[well] = np.linalg.solve(normal[well], side[well][..., None])[..., 0]
-    return places
+    side_u, side_v = u * points[..., 2] - points[..., 0], v * points[..., 2] - points[..., 1]
+    sum_u, sum_v, squares = u.sum(axis=-1), v.sum(axis=-1), (u * u + v * v).sum(axis=-1)
+    x, y, z = side_u.sum(axis=-1), side_v.sum(axis=-1), (u * side_u + v * side_v).sum(axis=-1)
+    depth = 0.25 * (sum_u * x + sum_v * y) - z
+    depth /= squares - 0.25 * (sum_u**2 + sum_v**2)
+    return np.stack([0.25 * (x + sum_u * depth), 0.25 * (y + sum_v * depth), depth], axis=-1)

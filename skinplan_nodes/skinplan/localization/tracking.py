@@ -9,7 +9,7 @@ from skinplan.localization.edge_lines import narrowest_px
 from skinplan.localization.judge import judged
 from skinplan.localization.model import CameraModel, Sighting
 from skinplan.localization.observe import require_size
-from skinplan.localization.partly import completed
+from skinplan.localization.partly import completed, misses_any
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
 from skinplan.transforms import Array
@@ -40,6 +40,7 @@ class MarkerTracker:
         self._detector = MarkerDetector(fixture.dictionary, corners)
         self._last: Sighting | None = None
         self._since_whole = 0
+        self._missed = False
         self.windowed = False
 
     def observe(self, image: NDArray[np.uint8], camera: CameraModel) -> Sighting:
@@ -60,9 +61,13 @@ class MarkerTracker:
             self._since_whole = 0
             found = self._detector.find(grey, camera)
             seen = judged(found, camera, self._fixture, self._quality)
+            self._missed = misses_any(seen, camera, self._fixture)
         else:
             self._since_whole += 1
         self._last = seen
+        if not self._missed:
+            # One that gets hidden is missing near its place, and the whole image is looked at.
+            return seen
         book = self._detector.book
         return completed(seen, found, grey, book, camera, self._fixture, self._quality)
 
