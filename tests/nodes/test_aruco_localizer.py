@@ -4,20 +4,23 @@ import hashlib
 import threading
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from action_msgs.msg import GoalStatus
 from diagnostic_msgs.msg import DiagnosticArray
-from geometry_msgs.msg import Twist
+from geometry_msgs.msg import PoseStamped, Twist
 from nav2_msgs.action import NavigateToPose
 from nav_msgs.msg import Odometry
 from rclpy.action import ActionClient
+from sensor_msgs.msg import CompressedImage, Image
 from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import MarkerObservations, PartPose, Status
 from tf2_msgs.msg import TFMessage
 from unique_identifier_msgs.msg import UUID
 
 from nodes.bench import Bench
+from nodes.localizer_cell import drive, localize, send, start_cell, work_place
 from nodes.small_part import reference
 from skinplan.errors import (
     FrameMissingError,
@@ -35,6 +38,7 @@ from skinplan_nodes.aruco_localizer import ArucoLocalizer
 from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames
 from skinplan_nodes.conversions import (
     camera_info_to_msg,
+    image_from_msg,
     image_to_msg,
     part_pose_from_msg,
     pose_from_msg,
@@ -44,7 +48,7 @@ from skinplan_nodes.conversions import (
 )
 from skinplan_nodes.mock_camera import MockCamera
 from skinplan_nodes.mock_mir100 import MockMir100
-from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
+from skinplan_nodes.qos import IMAGE, LATCHED, STATE, STATIC_TF
 from skinplan_nodes.replies import status_of
 
 CELL = CellConfig()
@@ -55,40 +59,6 @@ def part(tmp_path_factory: pytest.TempPathFactory) -> Part:
     written = write_sample("scene2", tmp_path_factory.mktemp("part"))
     assert written.source is not None
     return load_part(written.source)
-
-
-def start_cell(bench: Bench, part: Part, **parameters: Any) -> None:
-    bench.start(MockMir100, part_uri=str(part.source), seed=3)
-    bench.start(MockCamera, part_uri=str(part.source), seed=3)
-    bench.start(ArucoLocalizer, **parameters)
-
-
-def send(bench: Bench, goal: LocalizePart.Goal, feedback: list[Any] | None = None) -> Any:
-    client = ActionClient(bench.tester, LocalizePart, "localize_part")
-    bench.wait(client.server_is_ready)
-    told = None if feedback is None else lambda msg: feedback.append(msg.feedback)
-    return bench.result(client.send_goal_async(goal, feedback_callback=told), turning=True)
-
-
-def localize(bench: Bench, goal: LocalizePart.Goal, feedback: list[Any] | None = None) -> Any:
-    handle = send(bench, goal, feedback)
-    assert handle.accepted
-    return bench.result(handle.get_result_async(), turning=True)
-
-
-def drive(bench: Bench, goal: Any) -> None:
-    client = ActionClient(bench.tester, NavigateToPose, "navigate_to_pose")
-    bench.wait(client.server_is_ready)
-    request = NavigateToPose.Goal(pose=pose_stamped_to_msg(goal, "map"))
-    handle = bench.result(client.send_goal_async(request), turning=True)
-    result = bench.result(handle.get_result_async(), turning=True)
-    assert result.status == GoalStatus.STATUS_SUCCEEDED
-
-
-def work_place(part: Part) -> Any:
-    """A place from which the markers are seen, but not well enough."""
-    x = float(part.T_map_workpiece[0, 3])
-    return planar(x - 0.3, -2.2, 0.25)
 
 
 def test_the_part_is_found_by_moving_closer(bench: Bench, part: Part) -> None:
@@ -285,6 +255,44 @@ def test_markers_are_watched_between_goals_and_the_diagnostics_say_so(
     found = values()
     assert {"image_rate_hz", "images_dropped", "last_good_pose_age_s", "quality"} <= set(found)
     assert int(found["images_evaluated"]) > 0
+
+
+class Compressor:
+    """Sends what the camera sends once more, as JPEG, or something that is none."""
+
+    def __init__(self, bench: Bench) -> None:
+        self._sender = bench.tester.create_publisher(
+            CompressedImage, "camera/color/image_raw/compressed", IMAGE
+        )
+        bench.tester.create_subscription(Image, "camera/color/image_raw", self._send, IMAGE)
+        self.junk = False
+
+    def _send(self, image: Image) -> None:
+        _, found = cv2.imencode(".jpg", image_from_msg(image), [cv2.IMWRITE_JPEG_QUALITY, 90])
+        data = b"no picture" if self.junk else found.tobytes()
+        self._sender.publish(CompressedImage(header=image.header, format="jpeg", data=data))
+
+
+def test_compressed_images_give_the_pose(bench: Bench, part: Part) -> None:
+    start_cell(bench, part, compressed=True)
+    compressor = Compressor(bench)
+    bases = bench.collect(PoseStamped, "truth/base_pose", STATE)
+    drive(bench, work_place(part))
+    goal = LocalizePart.Goal(part=reference(part), quality_threshold=0.05)
+    result = localize(bench, goal).result
+    assert result.status.code == Status.OK, result.status.message
+    assert bench.tester.count_subscribers("camera/color/image_raw") == 1, "only the compressor's"
+    T_map_arm_base = pose_from_msg(bases[-1].pose) @ CELL.T_base_link_arm_base
+    truth = inverse(T_map_arm_base) @ Truth(part, CELL, 3).T_map_workpiece
+    apart_m, angle_rad = difference(
+        truth, part_pose_from_msg(result.part_pose).T_arm_base_workpiece
+    )
+    assert apart_m < 5e-3
+    assert angle_rad < 5e-3
+    compressor.junk = True
+    result = localize(bench, goal).result
+    assert result.status.code == Status.IMAGE_INVALID
+    assert "JPEG or PNG" in result.status.message
 
 
 def test_a_second_goal_is_refused(bench: Bench, part: Part) -> None:
