@@ -1,16 +1,21 @@
 """How the node aruco_localizer keeps up with a camera: 1280 x 720 at 30 Hz.
 
-    python benchmarks/localizer_rate.py [--seconds 20] [--rate 30]
+    python benchmarks/localizer_rate.py [--seconds 20] [--rate 30] [--beside scene2]
 
-Starts the node as a program, sends it rendered images, and prints what its diagnostics say.
+Starts the node as a program, sends it rendered images, and prints what its diagnostics say. With
+`--beside` the whole graph of a mock cell measures a part meanwhile, in real time: the node under
+test is one more, in a namespace of its own, and begins when the job scans.
 """
 
 import argparse
+import json
 import os
 import subprocess
 import sys
 import tempfile
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -27,6 +32,9 @@ from skinplan.transforms import inverse
 from skinplan_nodes.conversions import camera_info_to_msg, image_to_msg
 from skinplan_nodes.qos import IMAGE, STATE
 
+# The node under test hears nothing of the graph beside it.
+SPACE = "/rate"
+
 
 def images(count: int) -> list[np.ndarray]:
     """Renders a slow ride along the panel."""
@@ -38,32 +46,66 @@ def images(count: int) -> list[np.ndarray]:
     ]
 
 
+@contextmanager
+def graph_beside(name: str, folder: Path) -> Iterator[None]:
+    """Starts the graph of the mock cell with a job, waits until it scans, ends it afterwards."""
+    part = write_sample(name, folder / "beside")
+    command = [sys.executable, "-P", "-m", "skinplan_nodes.runner", "--part", str(part.source)]
+    command += ["--runs-folder", str(folder / "runs"), "--json-lines", "--time-factor", "1"]
+    with (folder / "runner.err").open("w") as errors:
+        process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=errors, text=True)
+    try:
+        for line in process.stdout or ():
+            if json.loads(line).get("sub_state") == "scanning":
+                break
+        if process.poll() is not None:
+            sys.exit(f"the graph ended before it scanned: {(folder / 'runner.err').read_text()}")
+        yield
+        print(f"the graph {'ran on' if process.poll() is None else 'had ended'} at the end")
+    finally:
+        process.terminate()
+        process.communicate(timeout=60.0)
+
+
+@contextmanager
+def localizer(folder: Path) -> Iterator[None]:
+    """Starts the node under test."""
+    part = write_sample("scene4", folder / "own")
+    command = [sys.executable, "-m", "skinplan_nodes.aruco_localizer", "--ros-args"]
+    command += ["-r", f"__ns:={SPACE}", "-p", f"watched_part:={part.source}"]
+    process = subprocess.Popen([*command, "-p", "watch_rate_hz:=60.0"])
+    try:
+        yield
+    finally:
+        process.terminate()
+        process.wait(20.0)
+
+
 def main() -> None:
     """Runs it."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--rate", type=float, default=30.0)
+    parser.add_argument("--beside", default="", help="sample part that the graph measures")
     given = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     os.environ.setdefault("ROS_DOMAIN_ID", str(40 + os.getpid() % 60))
     frames = [image_to_msg(image, "optical") for image in images(20)]
     info = camera_info_to_msg(CAMERA, "optical")
-    with tempfile.TemporaryDirectory() as folder:
-        part = write_sample("scene4", Path(folder))
-        command = [sys.executable, "-m", "skinplan_nodes.aruco_localizer", "--ros-args"]
-        command += ["-p", f"watched_part:={part.source}", "-p", "watch_rate_hz:=60.0"]
-        process = subprocess.Popen(command)
-        try:
-            measure(frames, info, given.seconds, given.rate)
-        finally:
-            process.terminate()
-            process.wait(20.0)
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        with graph_beside(given.beside, folder) if given.beside else nullcontext():
+            before_s = sum(os.times()[:4])
+            with localizer(folder):
+                measure(frames, info, given.seconds, given.rate)
+            busy_s = sum(os.times()[:4]) - before_s
+            print(f"node and camera of this benchmark: {busy_s:.1f} s of CPU")
 
 
 def measure(frames: list[Image], info: CameraInfo, seconds: float, rate_hz: float) -> None:
     """Sends the images and prints the node's own figures."""
     rclpy.init(args=[])
-    node = rclpy.create_node("camera")
+    node = rclpy.create_node("camera", namespace=SPACE)
     executor = SingleThreadedExecutor()
     executor.add_node(node)
     image = node.create_publisher(Image, "camera/color/image_raw", IMAGE)
@@ -92,6 +134,8 @@ def measure(frames: list[Image], info: CameraInfo, seconds: float, rate_hz: floa
     end = time.monotonic() + 2.5
     while time.monotonic() < end:
         executor.spin_once(timeout_sec=0.1)
+    load = os.getloadavg()[0]
+    print(f"{os.cpu_count()} cores, load {load:.1f}")
     late = np.percentile(ages, 95) if ages else float("nan")
     third = max(len(ages) // 3, 1)
     print(

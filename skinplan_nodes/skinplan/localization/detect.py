@@ -8,8 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from skinplan.errors import ImageInvalidError, PartInvalidError
+from skinplan.errors import PartInvalidError
 from skinplan.localization.edges import RefinedCorners, refine_corners
+from skinplan.localization.foreign import foreign_ids
+from skinplan.localization.grey import grey_image
 from skinplan.localization.growth import common_growth, drawn_in, edge_growth, lie_aside
 from skinplan.localization.mirrored import mirrored_ids
 from skinplan.localization.model import CameraModel, Detection
@@ -39,7 +41,9 @@ _SEARCHED_SIDE_PX, _LEAST_SCALE = 60.0, 0.5
 # Half window of `cornerSubPix`: share of a cell, at most so many pixels; and when it ends.
 _SUBPIX_SHARE, _SUBPIX_PX = 0.3, 5
 _SUBPIX_UNTIL = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 0.01)
-_LARGEST_PX = 100_000_000
+_MOST_FINDERS = 16  # that are kept, each of other ids
+# The detector that finds, and the one for mirror images.
+_Finders = tuple[cv2.aruco.ArucoDetector, cv2.aruco.ArucoDetector]
 
 
 @dataclass(frozen=True)
@@ -75,26 +79,6 @@ def dictionary_of(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def grey_image(image: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    """Returns an image as grey image, shape (h, w).
-
-    Args:
-        image: shape (h, w) grey or (h, w, 3) BGR, 8 bit.
-
-    Raises:
-        ImageInvalidError: Another shape or type, no pixels, or far too many.
-    """
-    found = np.asarray(image)
-    good_shape = found.ndim == 2 or (found.ndim == 3 and found.shape[2] == 3)
-    if found.dtype != np.uint8 or not good_shape or not 0 < found.size <= _LARGEST_PX:
-        raise ImageInvalidError(
-            f"an image of 8 bit, shape (h, w) or (h, w, 3), of at most {_LARGEST_PX} bytes, is "
-            f"accepted, found {found.dtype} {found.shape}"
-        )
-    grey = found if found.ndim == 2 else cv2.cvtColor(found, cv2.COLOR_BGR2GRAY)
-    return np.ascontiguousarray(grey, dtype=np.uint8)
-
-
 class MarkerDetector:
     """Finds the markers of a dictionary.
 
@@ -122,7 +106,9 @@ class MarkerDetector:
         parameters.adaptiveThreshWinSizeStep = _WINDOWS_PX[1] - _WINDOWS_PX[0]
         self._parameters = parameters
         self._finders = self._made(self.book)
-        self._few: tuple[tuple[int, ...], tuple[cv2.aruco.ArucoDetector, ...]] | None = None
+        self._lit = np.zeros((0, 0), np.float32)
+        self._lit_parts: list[tuple[slice, slice]] = []
+        self._few: dict[tuple[int, ...], _Finders] = {}
 
     def find(
         self,
@@ -138,9 +124,10 @@ class MarkerDetector:
         Args:
             image: shape (h, w) grey or (h, w, 3) BGR, 8 bit.
             camera: Lets the corners be refined without the bend of the distortion; None = without.
-            windows: Parts of the image to look at; None = all. Mirror images are not looked for in
-                them.
-            ids: Only these are looked for, which takes less time; None = all of the dictionary.
+            windows: Parts of the image to look at; None = all. Mirror images and other ids are not
+                looked for in them.
+            ids: Those that count, which takes less time; others are only named. None = all of the
+                dictionary.
 
         Returns:
             The markers by rising id.
@@ -150,7 +137,7 @@ class MarkerDetector:
         """
         grey = grey_image(image)
         parts = [Window(0, 0, grey.shape[1], grey.shape[0])] if windows is None else windows
-        own = None if ids is None else np.array(sorted(ids), dtype=np.int64)
+        own = self._own(ids)
         finders = self._finders if own is None else self._finders_of(tuple(own.tolist()))
         looks = [self._in_part(grey, part, finders, whole=windows is None) for part in parts]
         numbers = np.concatenate([look[0] for look in looks])
@@ -160,7 +147,11 @@ class MarkerDetector:
             numbers, mirrored = own[numbers], {int(own[number]) for number in mirrored}
         keep, duplicates = _unique(numbers, corners)
         numbers, corners = numbers[keep], corners[keep]
-        light = _light(grey, parts)
+        light = self._light(grey, parts)
+        foreign: set[int] = set()
+        if own is not None and windows is None:
+            others = foreign_ids(grey, looks[0][3], looks[0][1], self.book)
+            foreign = set(others.tolist()) - set(own.tolist())
         refined, growth_px, whole = self._refined(grey, light, numbers, corners, camera)
         whole &= fits_print(light, numbers, refined.corners, self.book)
         return Detection(
@@ -172,18 +163,41 @@ class MarkerDetector:
             tuple(sorted(mirrored)),
             tuple(numbers[~whole].tolist()),
             growth_px,
+            tuple(sorted(foreign)),
         )
 
-    def _finders_of(self, ids: tuple[int, ...]) -> tuple[cv2.aruco.ArucoDetector, ...]:
+    def _light(self, grey: NDArray[np.uint8], parts: Sequence[Window]) -> NDArray[np.float32]:
+        """Returns parts of an image in floating point, 0 elsewhere; valid until the next image.
+
+        New memory for every image costs more than what is done in it.
+        """
+        if self._lit.shape != grey.shape:
+            self._lit, self._lit_parts = np.zeros(grey.shape, np.float32), []
+        for part in self._lit_parts:
+            self._lit[part] = 0.0
+        self._lit_parts = [np.s_[w.top : w.bottom, w.left : w.right] for w in parts]
+        for part in self._lit_parts:
+            self._lit[part] = grey[part]
+        return self._lit
+
+    def _own(self, ids: Sequence[int] | None) -> NDArray[np.int64] | None:
+        """Returns those of the dictionary, rising; None = all, also where none of them is."""
+        count = len(self.book.bytesList)
+        own = sorted({i for i in ids or () if i < count})
+        return np.array(own, dtype=np.int64) if own else None
+
+    def _finders_of(self, ids: tuple[int, ...]) -> _Finders:
         """Returns detectors of a few ids: comparing with a thousand takes 2 ms a quadrilateral."""
-        if self._few is None or self._few[0] != ids:
+        if ids not in self._few:
+            if len(self._few) >= _MOST_FINDERS:
+                self._few.clear()
             few = cv2.aruco.Dictionary(
                 self.book.bytesList[list(ids)], self.book.markerSize, self.book.maxCorrectionBits
             )
-            self._few = (ids, self._made(few))
-        return self._few[1]
+            self._few[ids] = self._made(few)
+        return self._few[ids]
 
-    def _made(self, book: cv2.aruco.Dictionary) -> tuple[cv2.aruco.ArucoDetector, ...]:
+    def _made(self, book: cv2.aruco.Dictionary) -> _Finders:
         """Returns the detector that finds, and the one for mirror images."""
         return cv2.aruco.ArucoDetector(book, self._parameters), cv2.aruco.ArucoDetector(book)
 
@@ -191,10 +205,11 @@ class MarkerDetector:
         self,
         grey: NDArray[np.uint8],
         part: Window,
-        finders: tuple[cv2.aruco.ArucoDetector, ...],
+        finders: _Finders,
         *,
         whole: bool,
-    ) -> tuple[NDArray[np.int64], Array, set[int]]:
+    ) -> tuple[NDArray[np.int64], Array, set[int], Array]:
+        """Returns ids, corners, what is mirrored, and corners of what was rejected."""
         window = np.ascontiguousarray(grey[part.top : part.bottom, part.left : part.right])
         large = part.side_px > 1.5 * _SEARCHED_SIDE_PX
         scale = max(_SEARCHED_SIDE_PX / part.side_px, _LEAST_SCALE) if large else 1.0
@@ -213,10 +228,11 @@ class MarkerDetector:
         found, found_ids, rejected = finder.detectMarkers(window)
         corners = np.asarray(found, dtype=float).reshape(-1, 4, 2)
         mirrored = mirrored_ids(window, rejected, corners, plain) if whole else set()
+        quads = np.asarray(rejected, dtype=float).reshape(-1, 4, 2)
         if len(corners) == 0:
-            return np.zeros(0, dtype=np.int64), np.zeros((0, 4, 2)), mirrored
+            return np.zeros(0, dtype=np.int64), corners, mirrored, quads
         placed = (corners + 0.5) / scale - 0.5 + (part.left, part.top)
-        return np.asarray(found_ids, dtype=np.int64).ravel(), placed, mirrored
+        return np.asarray(found_ids, dtype=np.int64).ravel(), placed, mirrored, quads
 
     def _refined(
         self,
@@ -252,15 +268,6 @@ def detect_markers(
 ) -> Detection:
     """Finds the markers of a dictionary in one image; see `MarkerDetector`."""
     return MarkerDetector(dictionary).find(image, camera)
-
-
-def _light(grey: NDArray[np.uint8], parts: Sequence[Window]) -> NDArray[np.float32]:
-    """Returns parts of an image in floating point, 0 elsewhere."""
-    light = np.zeros(grey.shape, np.float32)
-    for part in parts:
-        own = np.s_[part.top : part.bottom, part.left : part.right]
-        light[own] = grey[own]
-    return light
 
 
 def _subpix(grey: NDArray[np.uint8], corners: Array, cells: int) -> Array:

@@ -68,18 +68,19 @@ def edge_growth(
     tell = np.flatnonzero(side >= _LEAST_ASIDE_CELL_PX * cells).tolist()
     if not tell:
         return growth, sigma, aside
-    ats, signs, levers, axes = [], [], [], []
-    straight = straightened(corners, camera)
+    owner, parts, signs, levers, axes = [], [], [], [], []
     for k in tell:
         middle, across, sign, lever = _edges_of(print_bits(book, int(ids[k])), cells)
         half = min(_HALF, _HALF_PX * cells / side[k]) * _AHEAD[:, None]
-        places = (middle[:, None] + half * across[:, None]) / cells
-        ats.append(places_on(straight[None, k], places[None, ..., 0], places[None, ..., 1])[0])
+        parts.append((middle[:, None] + half * across[:, None]) / cells)
+        owner.append(np.full(len(sign), k))
         signs.append(sign)
         levers.append(lever)
         axes.append(across[:, 0] > 0.5)
+    places = np.concatenate(parts)[:, None]
+    straight = straightened(corners, camera)[np.concatenate(owner)]
     # All at once: most of the time is that of the calls.
-    at = bent(np.concatenate(ats), camera)
+    at = bent(places_on(straight, places[..., 0], places[..., 1])[:, 0], camera)
     sign, lever = np.concatenate(signs), np.concatenate(levers)
     good, moved = _moved(looked_up(light, at), at, sign)
     ends = np.cumsum([len(item) for item in signs]).tolist()

@@ -40,7 +40,7 @@ def judged(
     )
     return Sighting(
         observations(kept, camera, fixture, quality),
-        unknown=tuple(found.ids[~known].tolist()),
+        unknown=tuple(sorted({*found.ids[~known].tolist(), *found.foreign})),
         duplicates=tuple(i for i in found.duplicates if i in own),
         mirrored=tuple(i for i in found.mirrored if i in own),
         covered=tuple(i for i in found.covered if i in own),

@@ -39,6 +39,7 @@ class Detection:
         mirrored: Ids that are there as their mirror image: printed or looked at the wrong way.
         covered: Ids whose print does not lie where their corners say: something covers an edge.
         growth_px: By how much black reaches over its edges; it has been taken off the corners.
+        foreign: Ids that were not looked for, and are there.
     """
 
     ids: NDArray[np.int64]
@@ -49,6 +50,7 @@ class Detection:
     mirrored: tuple[int, ...] = ()
     covered: tuple[int, ...] = ()
     growth_px: float = 0.0
+    foreign: tuple[int, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,7 +5,8 @@ from numpy.typing import NDArray
 
 from skinplan.errors import ImageInvalidError
 from skinplan.localization.camera import require_camera
-from skinplan.localization.detect import MarkerDetector, grey_image
+from skinplan.localization.detect import MarkerDetector
+from skinplan.localization.grey import grey_image
 from skinplan.localization.judge import judged
 from skinplan.localization.model import CameraModel, Sighting
 from skinplan.localization.partly import completed
@@ -39,7 +40,7 @@ def observe(
     require_size(image, camera)
     detector = MarkerDetector(fixture.dictionary, corners)
     grey = grey_image(image)
-    found = detector.find(grey, camera)
+    found = detector.find(grey, camera, ids=[marker.id for marker in fixture.markers])
     seen = judged(found, camera, fixture, quality)
     return completed(seen, found, grey, detector.book, camera, fixture, quality)
 

@@ -14,6 +14,7 @@ from skinplan.errors import (
 from skinplan.localization.bundle import Bundle, bundle_of, strain
 from skinplan.localization.camera import in_view, require_camera
 from skinplan.localization.edge_lines import narrowest_px
+from skinplan.localization.edges import narrowest
 from skinplan.localization.judge import SAME_POSE_RAD, ambiguity
 from skinplan.localization.model import CameraModel, Observation, Sighting, WorkpiecePose
 from skinplan.localization.quality import angle_and_distance, marker_quality
@@ -175,7 +176,7 @@ def _agreed(bundle: Bundle, starts: Array, camera: CameraModel) -> tuple[Bundle,
         The markers, and what the best start and a few that are turned against it lead to.
     """
     errors = marker_errors(starts, bundle.points, bundle.pixels, camera)
-    sides = np.array([narrowest_px(pixels) for pixels in bundle.pixels])
+    sides = narrowest(bundle.pixels)
     allowed = REPROJECTION_MAX_PX + _AGREES_SHARE * sides
     agrees = errors < allowed
     cost = np.minimum(errors / allowed, 1.0).sum(axis=1)
@@ -244,12 +245,13 @@ def hidden_ids(
     cosine = -np.einsum("mi,mi->m", frames[:, :3, 2], places) / away
     side = sizes * cosine / np.maximum(places[:, 2], 1e-9) * camera.K[0, 0]
     clear = (places[:, 2] > 0.0) & (cosine >= _HIDDEN_COSINE) & (side >= _HIDDEN_SIDE_PX)
-    corners = np.array(
-        [apply(T, square_corners(size)) for T, size in zip(frames, sizes.tolist(), strict=True)]
-    )
-    inside = in_view(corners.reshape(-1, 3), camera, _HIDDEN_RIM_PX).reshape(-1, 4).all(axis=1)
-    ids = np.array([marker.id for marker in missing], dtype=np.int64)
-    return np.asarray(ids[clear & inside])
+    ids = np.array([marker.id for marker in missing], dtype=np.int64)[clear]
+    if len(ids) == 0:
+        return ids
+    own = zip(frames[clear], sizes[clear].tolist(), strict=True)
+    corners = np.concatenate([apply(frame, square_corners(size)) for frame, size in own])
+    inside = in_view(corners, camera, _HIDDEN_RIM_PX).reshape(-1, 4).all(axis=1)
+    return np.asarray(ids[inside])
 
 
 def _mismatch(bundle: Bundle, error_px: float) -> FixtureMismatchError:

@@ -4,8 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.localization.camera import require_camera
-from skinplan.localization.detect import MarkerDetector, Window, grey_image
+from skinplan.localization.detect import MarkerDetector, Window
 from skinplan.localization.edge_lines import narrowest_px
+from skinplan.localization.grey import grey_image
 from skinplan.localization.judge import judged
 from skinplan.localization.model import CameraModel, Sighting
 from skinplan.localization.observe import require_size
@@ -36,6 +37,7 @@ class MarkerTracker:
 
     def __init__(self, fixture: Fixture, quality: QualitySettings, corners: str = "auto") -> None:
         self._fixture = fixture
+        self._own = [marker.id for marker in fixture.markers]
         self._quality = quality
         self._detector = MarkerDetector(fixture.dictionary, corners)
         self._last: Sighting | None = None
@@ -59,7 +61,7 @@ class MarkerTracker:
                 seen, self.windowed = None, False
         if found is None or seen is None:
             self._since_whole = 0
-            found = self._detector.find(grey, camera)
+            found = self._detector.find(grey, camera, ids=self._own)
             seen = judged(found, camera, self._fixture, self._quality)
             self._missed = misses_any(seen, camera, self._fixture)
         else:
