@@ -1,10 +1,10 @@
 """How well and how fast the part is located: rendered images, truth known.
 
-    python benchmarks/localization.py [--poses 200] [--grid 12] [--draws 1000] [--approaches 50]
+    python benchmarks/localization.py [--poses 200] [--grid 12] [--draws 1000] [--seed 11]
                                       [--photo IMAGE] [--plot docs/localization.png]
 
 Prints Markdown tables: a grid of distances and view angles, of blur, noise, light and cover, the
-honesty of the covariance where E is good enough, whole approaches, and the times. The error is that
+honesty of the covariance where E is good enough, and the times. The error is that
 of the workpiece's origin in the arm base, and of its rotation.
 """
 
@@ -20,7 +20,6 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from skinplan.errors import LocalizationError
-from skinplan.localization.approach import next_goal
 from skinplan.localization.camera import camera_model, project
 from skinplan.localization.chain import LocatedPart
 from skinplan.localization.detect import MarkerDetector
@@ -29,7 +28,6 @@ from skinplan.localization.observe import observe
 from skinplan.localization.pose import locate
 from skinplan.localization.square import square_corners
 from skinplan.localization.tracking import MarkerTracker
-from skinplan.mock.base import BaseConfig, MockBase
 from skinplan.mock.camera import MockCamera
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.robot.cell import CellConfig
@@ -234,37 +232,6 @@ def honesty(draws: int, seed: int) -> None:
     print(f"of one draw: {low:.2f} to {high:.2f} (95 % inside)")
 
 
-def approaches(count: int) -> None:
-    """Whole approaches from up to 3 m and 60 degrees aside."""
-    camera = MockCamera(CELL.camera, FIXTURE, seed=0)
-    attempts, failures, nearest = [], [], np.inf
-    for seed in range(count):
-        random = np.random.default_rng(seed)
-        low, high = [-0.8, 0.9, -np.pi / 3, -0.15], [0.8, 3.0, np.pi / 3, 0.15]
-        base = MockBase(BaseConfig(), CELL, seed, base_at(*random.uniform(low, high)))
-        reached = False
-        for attempt in range(1, CELL.quality.max_attempts + 1):
-            pose = Tally().add(camera, base.true)
-            reached = pose is not None and pose.quality >= CELL.quality.threshold
-            goal = None
-            if pose is not None and not reached:
-                goal = next_goal(base.believed, pose, FIXTURE, CAMERA, CELL)
-            if goal is None:
-                break
-            base.goal(goal.T_map_base_link)
-            base.step(1e3 * (seed * 100 + attempt))
-            nearest = min(nearest, -(base.true @ T_OPTICAL)[1, 3])
-        if reached:
-            attempts.append(attempt)
-        else:
-            failures.append(seed)
-    print(
-        f"\napproaches: {len(attempts)}/{count} reach E >= {CELL.quality.threshold}, estimates "
-        f"median {np.median(attempts):.0f}, most {max(attempts)}; nearest stop {nearest:.3f} m "
-        f"(d_min {CELL.quality.distance_min_m} m); failed seeds {failures}"
-    )
-
-
 def milliseconds(work: Callable[[], object], count: int = 60) -> float:
     """Returns the median time of some work on the core it runs on [ms]."""
     times = []
@@ -342,7 +309,6 @@ def main() -> None:
     parser.add_argument("--grid", type=int, default=12)
     parser.add_argument("--draws", type=int, default=1000)
     parser.add_argument("--seed", type=int, default=11, help="of the draws")
-    parser.add_argument("--approaches", type=int, default=50)
     parser.add_argument("--photo", type=Path, default=None)
     parser.add_argument("--plot", type=Path, default=None)
     given = parser.parse_args()
@@ -352,8 +318,6 @@ def main() -> None:
         conditions(given.poses)
     if given.draws:
         honesty(given.draws, given.seed)
-    if given.approaches:
-        approaches(given.approaches)
     times(given.photo)
     if given.plot is not None and tallies:
         plot(tallies, given.plot)
