@@ -8,6 +8,7 @@ import pytest
 from localization_scene import CAMERA, CELL, base_facing, camera_pose, observed, row_fixture
 from skinplan.localization.observe import observe
 from skinplan.localization.pose import locate
+from skinplan.localization.tracking import MarkerTracker
 from skinplan.mock.camera import MockCamera
 from skinplan.transforms import difference
 
@@ -81,6 +82,18 @@ def test_with_all_but_one_covered_the_pose_is_better_than_of_the_one(camera):
             pose = locate(sighting, CAMERA, FIXTURE, QUALITY)
             errors[name].append(difference(TRUTH, pose.T_camera_workpiece)[0])
     assert np.mean(errors["all"]) < 0.6 * np.mean(errors["one"])
+
+
+def test_a_tracked_marker_that_gets_covered_still_counts(camera):
+    tracker = MarkerTracker(FIXTURE, QUALITY)
+    free, hidden = camera.render(TRUTH), camera.render(TRUTH, [strip(EXPECTED[14], 0.2, 0)])
+    looks = [tracker.observe(image, CAMERA) for image in (free, free, hidden, hidden)]
+    assert [seen.partly for seen in looks] == [(), (), (14,), (14,)]
+    # That it is free again is seen when the whole image is looked at again.
+    looks += [tracker.observe(free, CAMERA) for _ in range(10)]
+    assert looks[-1].partly == ()
+    ids = [[item.id for item in seen.markers] for seen in looks]
+    assert ids == [sorted(EXPECTED)] * len(looks)
 
 
 def test_another_marker_in_the_place_is_not_taken_for_a_hidden_one():
