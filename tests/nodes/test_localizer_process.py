@@ -118,7 +118,7 @@ class Caller:
     def _localize(self) -> None:
         try:
             self.cell.wait_ready()
-            self.answer = self.cell.localize(self._job, may_move=True)
+            self.answer = self.cell.localize(self._job, may_move=True, new_place=True)
         except StepError as error:
             self.answer = error
 
