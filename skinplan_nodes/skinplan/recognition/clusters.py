@@ -1,0 +1,126 @@
+"""Clouds thinned, taken apart by gaps, and given normals."""
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+
+from skinplan.errors import InputError
+from skinplan.transforms import Array
+
+# Points nearer than this many spacings stand for the same place.
+_CLOSE = 0.7
+
+
+def thinned(points: Array, spacing_m: float) -> NDArray[np.int64]:
+    """Numbers of the points that stand for the cubes of a grid: in each the one nearest its middle.
+
+    Args:
+        points: shape (n, 3) [m].
+        spacing_m: Side of the cubes [m].
+
+    Returns:
+        Increasing indices, shape (m,).
+
+    Raises:
+        InputError: A spacing that is not positive.
+    """
+    if not spacing_m > 0.0:
+        raise InputError(f"a positive spacing is accepted, found {spacing_m} m")
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64)
+    scaled = points / spacing_m
+    cells = np.floor(scaled)
+    off = np.sum((scaled - cells - 0.5) ** 2, axis=1)
+    cells = (cells - cells.min(axis=0)).astype(np.int64)
+    sizes = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]
+    order = np.lexsort((off, keys))
+    first = np.concatenate([[True], np.diff(keys[order]) > 0])
+    return np.sort(order[first])
+
+
+def spread(points: Array, spacing_m: float) -> NDArray[np.int64]:
+    """Thins a cloud so that its density is the same everywhere: `thinned`, without close pairs.
+
+    A surface along a wall of the grid would have points on both sides of it, twice as many.
+
+    Args:
+        points: shape (n, 3) [m].
+        spacing_m: About the distance of neighbours [m].
+
+    Returns:
+        Increasing indices, shape (m,).
+
+    Raises:
+        InputError: A spacing that is not positive.
+    """
+    chosen = thinned(points, spacing_m)
+    pairs = cKDTree(points[chosen]).query_pairs(_CLOSE * spacing_m, output_type="ndarray")
+    kept = np.ones(len(chosen), dtype=bool)
+    # In order of their numbers, the first of a pair stays unless it has gone itself.
+    for first, second in pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))].tolist():
+        if kept[first]:
+            kept[second] = False
+    return chosen[kept]
+
+
+def clusters(
+    points: Array, gap_m: float, fewest: int = 1, height_weight: float = 1.0
+) -> list[NDArray[np.int64]]:
+    """Takes a cloud apart where gaps are wider than a bound.
+
+    Args:
+        points: shape (n, 3) [m].
+        gap_m: Points this near belong together [m].
+        fewest: Smaller clusters are dropped.
+        height_weight: Of distances along z: 0 = from above only. A Z section seen from above is one
+            part although its flanges lie far below each other.
+
+    Returns:
+        Numbers of the points of each cluster, the largest first.
+    """
+    if len(points) == 0:
+        return []
+    scaled = points * (1.0, 1.0, height_weight)
+    # One point to a cell decides which cells hang together: dense clouds have too many pairs.
+    side = gap_m / 4.0
+    cells = np.floor(scaled / side).astype(np.int64)
+    places, owner = np.unique(cells, axis=0, return_inverse=True)
+    owner = owner.reshape(-1)
+    sums = np.stack([np.bincount(owner, scaled[:, k]) for k in range(3)], axis=1)
+    middles = sums / np.bincount(owner)[:, None]
+    pairs = cKDTree(middles).query_pairs(gap_m, output_type="ndarray")
+    ones = np.ones(len(pairs), dtype=np.int8)
+    graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(len(places), len(places)))
+    _, number = connected_components(graph, directed=False)
+    labels = number[owner]
+    order = np.argsort(labels, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
+    kept = [group for group in groups if len(group) >= fewest]
+    return sorted(kept, key=lambda group: (-len(group), int(group[0])))
+
+
+def normals(points: Array, seen_from: Array, neighbours: int = 12) -> Array:
+    """Normals of a cloud: planes through each point's neighbours, toward the camera.
+
+    Args:
+        points: shape (n, 3) [m], at least 3.
+        seen_from: Where each was seen from, shape (n, 3) or (3,) [m].
+        neighbours: Points in a plane, the point itself included.
+
+    Returns:
+        Unit vectors, shape (n, 3).
+
+    Raises:
+        InputError: Too few points.
+    """
+    if len(points) < 3:
+        raise InputError(f"normals were asked for; 3 points are accepted, found {len(points)}")
+    _, near = cKDTree(points).query(points, k=min(neighbours, len(points)))
+    about = points[near] - points[near].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", about, about))
+    found = vectors[:, :, 0]
+    away = np.einsum("ij,ij->i", found, seen_from - points) < 0.0
+    return np.asarray(np.where(away[:, None], -found, found))

@@ -1,0 +1,128 @@
+"""Many poses of one model at once: costs, and robust point-to-plane steps."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from skinplan.recognition.fit_model import FitModel, outline_middle
+from skinplan.recognition.planes import Plane
+from skinplan.transforms import Array, transform
+
+# Normals that differ by more are those of the other side of a sheet (cosine).
+_SAME_SIDE = 0.3
+
+
+@dataclass(frozen=True, eq=False)
+class Pairs:
+    """Points of a cloud in the part frame with the surface nearest to them, for p poses.
+
+    Attributes:
+        points: shape (p, n, 3) [m].
+        normals: Of the surface, shape (p, n, 3).
+        residual: Along them, positive outside, shape (p, n) [m].
+        distance: To the nearest sample or its plane, whichever is less, shape (p, n) [m].
+        facing: Whether the cloud's normal looks to the surface's side, shape (p, n).
+    """
+
+    points: Array
+    normals: Array
+    residual: Array
+    distance: Array
+    facing: Array
+
+
+def pairs(model: FitModel, points: Array, normals: Array, T_part_tray: Array) -> Pairs:
+    """Looks up what the points of a cloud lie on in each of several poses.
+
+    Args:
+        model: The part.
+        points: Tray frame, shape (n, 3) [m].
+        normals: shape (n, 3).
+        T_part_tray: Poses, shape (p, 4, 4) [m].
+    """
+    turns, shifts = T_part_tray[:, :3, :3], T_part_tray[:, None, :3, 3]
+    local = np.einsum("pij,nj->pni", turns, points) + shifts
+    up = np.einsum("pij,nj->pni", turns, normals)
+    away, near = model.tree.query(local.reshape(-1, 3))
+    away, near = away.reshape(local.shape[:2]), near.reshape(local.shape[:2])
+    surface = model.samples.normals[near]
+    residual = np.einsum("pni,pni->pn", local - model.samples.points[near], surface)
+    # A point beside a sample, not over an edge, lies on the sample's plane.
+    beside = away**2 - residual**2
+    spacing2 = float(model.samples.weights[0])
+    distance = np.sqrt(residual**2 + np.maximum(beside - spacing2, 0.0))
+    facing = np.einsum("pni,pni->pn", up, surface) > _SAME_SIDE
+    return Pairs(local, surface, residual, distance, facing)
+
+
+def costs(found: Pairs, cut_m: float) -> Array:
+    """Root mean square distance of each pose, each point counting up to a cut, shape (p,) [m]."""
+    distance = np.where(found.facing, np.minimum(found.distance, cut_m), cut_m)
+    return np.asarray(np.sqrt(np.mean(distance**2, axis=1)))
+
+
+def stepped(found: Pairs, T_part_tray: Array, scale_m: float) -> Array:
+    """Moves each pose by one robust point-to-plane step.
+
+    Args:
+        found: Of these poses.
+        T_part_tray: shape (p, 4, 4) [m].
+        scale_m: Points farther off pull no longer [m].
+
+    Returns:
+        Poses, shape (p, 4, 4) [m].
+    """
+    middle = found.points.mean(axis=1)
+    offset = found.points - middle[:, None]
+    rows = np.concatenate([np.cross(offset, found.normals), found.normals], axis=2)
+    ratio = np.minimum(found.distance / scale_m, 1.0)
+    weight = np.where(found.facing, (1.0 - ratio**2) ** 2, 0.0)
+    matrix = np.einsum("pni,pn,pnj->pij", rows, weight, rows)
+    gradient = np.einsum("pni,pn->pi", rows, weight * found.residual)
+    # A little damping: what nothing holds stays.
+    spread = np.mean(np.sum(offset**2, axis=2), axis=1)
+    damping = 1e-3 * np.maximum(weight.sum(axis=1), 1.0)
+    scale = np.concatenate([np.repeat(spread[:, None], 3, 1), np.ones((len(spread), 3))], axis=1)
+    matrix += np.einsum("pi,ij->pij", damping[:, None] * scale, np.eye(6))
+    step = -np.linalg.solve(matrix, gradient[..., None])[..., 0]
+    turn = Rotation.from_rotvec(step[:, :3]).as_matrix()
+    moved = T_part_tray.copy()
+    moved[:, :3, :3] = turn @ T_part_tray[:, :3, :3]
+    shifted = np.einsum("pij,pj->pi", turn, T_part_tray[:, :3, 3] - middle)
+    moved[:, :3, 3] = shifted + middle + step[:, 3:]
+    return moved
+
+
+def lying_poses(model: FitModel, points: Array, plane: Plane, headings: int) -> Array:
+    """Poses in which the model lies on the tray with its outline's middle where the cloud's is.
+
+    Args:
+        model: The part.
+        points: Cloud, tray frame, shape (n, 3) [m].
+        plane: The tray.
+        headings: So many in each rest.
+
+    Returns:
+        ``T_tray_part``, shape (rests * headings, 4, 4) [m].
+    """
+    T_tray_plane = _plane_frame(plane)
+    flat = (points - T_tray_plane[:3, 3]) @ T_tray_plane[:3, :3]
+    x, y = outline_middle(flat)
+    angles = 2.0 * np.pi * np.arange(headings) / headings
+    turns = [
+        transform((x, y, 0.0), turn)
+        for turn in Rotation.from_euler("z", angles[:, None]).as_matrix()
+    ]
+    return np.stack(
+        [T_tray_plane @ turn @ laid for laid in model.laid.values() for turn in turns]
+    )
+
+
+def _plane_frame(plane: Plane) -> Array:
+    """A frame with z along the plane's normal and its origin on the plane, shape (4, 4)."""
+    z = plane.normal
+    x = np.eye(3)[int(np.argmin(np.abs(z)))]
+    x = x - (x @ z) * z
+    x /= np.linalg.norm(x)
+    return transform(plane.offset_m * z, np.stack([x, np.cross(z, x), z], axis=1))
