@@ -66,6 +66,37 @@ def spread(points: Array, spacing_m: float) -> NDArray[np.int64]:
     return chosen[kept]
 
 
+def crowd(points: Array, chosen: NDArray[np.int64], side_m: float) -> NDArray[np.int64]:
+    """Counts the points of a cloud about some of them.
+
+    Where the depth jumps, cameras see single points in mid-air: few others are about these.
+
+    Args:
+        points: shape (n, 3) [m].
+        chosen: Which are asked about, shape (m,).
+        side_m: Counted in a cube of 3 cells of this side about the cell of the point [m].
+
+    Returns:
+        Number of points in the cube, the point itself included, shape (m,).
+    """
+    cells = np.floor(points / side_m).astype(np.int64)
+    cells -= cells.min(axis=0) - 1
+    sizes = cells.max(axis=0) + 2
+    steps = np.array([sizes[1] * sizes[2], sizes[2], 1])
+    keys = cells @ steps
+    known, counts = np.unique(keys, return_counts=True)
+    total = np.zeros(len(chosen), dtype=np.int64)
+    # Three cells along the last axis have neighbouring keys: one sum over a range.
+    ends = np.concatenate([[0], np.cumsum(counts)])
+    for first in (-1, 0, 1):
+        for second in (-1, 0, 1):
+            middle = keys[chosen] + first * steps[0] + second * steps[1]
+            low = np.searchsorted(known, middle - 1)
+            high = np.searchsorted(known, middle + 1, side="right")
+            total += ends[high] - ends[low]
+    return total
+
+
 def clusters(
     points: Array, gap_m: float, fewest: int = 1, height_weight: float = 1.0
 ) -> list[NDArray[np.int64]]:

@@ -40,7 +40,7 @@ class MatchSettings:
         alike_distance: Distances below this can't be told apart [1].
     """
 
-    distance_max: float = 0.35
+    distance_max: float = 0.22
     alike_ratio: float = 1.3
     alike_distance: float = 0.02
 

@@ -8,6 +8,7 @@ which also gives the covariance and names what nothing determines.
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from skinplan.errors import AlignmentError
 from skinplan.inspection.model import Alignment
@@ -16,12 +17,20 @@ from skinplan.inspection.registration import RegistrationSettings, register
 from skinplan.recognition.fit_model import FitModel
 from skinplan.recognition.part_cloud import PartCloud
 from skinplan.recognition.planes import Plane
-from skinplan.recognition.search import costs, lying_poses, pairs, stepped
+from skinplan.recognition.search import costs, lying_poses, pairs, plane_frame, stepped
 from skinplan.transforms import Array, difference, inverse
 
 # Scales of the steps, largest first [m].
 _FIRST = (0.012, 0.012, 0.008, 0.008, 0.005, 0.005)
 _NEXT = (0.004, 0.003, 0.002, 0.002, 0.0015, 0.0015, 0.001, 0.001)
+# A sheet hardly feels how far it has slid along itself: the winner is tried at places on a grid in
+# the tray's plane, so far apart [m], each time followed by steps of these scales.
+_SLIDES = (
+    (0.004, (0.003, 0.003, 0.002)),
+    (0.0013, (0.002, 0.001, 0.001)),
+    (0.0004, (0.001, 0.0005, 0.0005, 0.0003, 0.0003)),
+)
+_GRID = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(-1, 2)
 
 
 @dataclass(frozen=True)
@@ -31,7 +40,8 @@ class GlobalSettings:
     Attributes:
         headings: Tried in each rest.
         few: Points of the cloud in the first round ...
-        more: ... and when the best are settled.
+        more: ... when the best are settled ...
+        most: ... and when the winner is chosen.
         kept: Poses that are settled.
         finalists: Different poses of which the best is chosen.
         cut_m: A point counts no more than this [m].
@@ -43,6 +53,7 @@ class GlobalSettings:
     headings: int = 36
     few: int = 150
     more: int = 500
+    most: int = 2500
     kept: int = 12
     finalists: int = 3
     cut_m: float = 0.01
@@ -69,7 +80,11 @@ class Fit:
 
 
 def global_fit(
-    cloud: PartCloud, model: FitModel, plane: Plane, settings: GlobalSettings | None = None
+    cloud: PartCloud,
+    model: FitModel,
+    plane: Plane,
+    settings: GlobalSettings | None = None,
+    middles: Array | None = None,
 ) -> Fit:
     """Finds where the model lies.
 
@@ -78,6 +93,8 @@ def global_fit(
         model: The part that it is thought to be.
         plane: The tray.
         settings: How.
+        middles: Where the middle of the outline may be, tray frame, shape (k, 3) [m]; None = that
+            of the cloud's.
 
     Returns:
         The best pose. Whether it is good is said by `verdict`.
@@ -89,35 +106,51 @@ def global_fit(
     """
     settings = settings or GlobalSettings()
     enough_points(cloud.points)
-    poses, found = _settled(cloud, model, plane, settings)
-    chosen = _different(poses, found, model, settings)
-    best = poses[chosen[0]]
-    other = float(found[chosen[1]]) if len(chosen) > 1 else float("inf")
-    return _registered(cloud, model, best, other, settings)
+    poses, found = _settled(cloud, model, plane, settings, middles)
+    other = float(found[1]) if len(found) > 1 else float("inf")
+    return _registered(cloud, model, poses[0], other, plane, settings)
 
 
 def _settled(
-    cloud: PartCloud, model: FitModel, plane: Plane, settings: GlobalSettings
+    cloud: PartCloud,
+    model: FitModel,
+    plane: Plane,
+    settings: GlobalSettings,
+    middles: Array | None = None,
 ) -> tuple[Array, Array]:
-    """Best poses ``T_tray_part`` (k, 4, 4) and costs (k,) [m], the best first."""
-    T_part_tray = inverse(lying_poses(model, cloud.points, plane, settings.headings))
-    few = evenly(len(cloud.points), settings.few)
-    first = pairs(model, cloud.points[few], cloud.normals[few], T_part_tray)
-    best = np.argsort(costs(first, settings.cut_m), kind="stable")[: settings.kept]
+    """Different poses ``T_tray_part`` (k, 4, 4) and their costs (k,) [m], the best first."""
+    T_part_tray = inverse(lying_poses(model, cloud.points, plane, settings.headings, middles))
+    few, more, most = (
+        evenly(len(cloud.points), count) for count in (settings.few, settings.more, settings.most)
+    )
+    found = _costs(cloud, few, model, T_part_tray, settings)
+    best = np.argsort(found, kind="stable")[: settings.kept]
     T_part_tray = _walked(cloud, few, model, T_part_tray[best], _FIRST)
-    more = evenly(len(cloud.points), settings.more)
-    found = costs(pairs(model, cloud.points[more], cloud.normals[more], T_part_tray), settings.cut_m)
-    order = np.argsort(found, kind="stable")
-    poses = inverse(T_part_tray[order])
-    kept = _different(poses, found[order], model, settings)
-    T_part_tray = _walked(cloud, more, model, inverse(poses[kept]), _NEXT)
-    found = costs(pairs(model, cloud.points[more], cloud.normals[more], T_part_tray), settings.cut_m)
-    order = np.argsort(found, kind="stable")
-    return inverse(T_part_tray[order]), found[order]
+    found = _costs(cloud, more, model, T_part_tray, settings)
+    T_part_tray = T_part_tray[_different(inverse(T_part_tray), found, model, settings)]
+    T_part_tray = _walked(cloud, more, model, T_part_tray, _NEXT)
+    found = _costs(cloud, most, model, T_part_tray, settings)
+    chosen = _different(inverse(T_part_tray), found, model, settings)
+    return inverse(T_part_tray[chosen]), found[chosen]
+
+
+def _costs(
+    cloud: PartCloud,
+    chosen: NDArray[np.int64],
+    model: FitModel,
+    T_part_tray: Array,
+    settings: GlobalSettings,
+) -> Array:
+    found = pairs(model, cloud.points[chosen], cloud.normals[chosen], T_part_tray)
+    return costs(found, settings.cut_m)
 
 
 def _walked(
-    cloud: PartCloud, chosen: Array, model: FitModel, T_part_tray: Array, scales: tuple[float, ...]
+    cloud: PartCloud,
+    chosen: NDArray[np.int64],
+    model: FitModel,
+    T_part_tray: Array,
+    scales: tuple[float, ...],
 ) -> Array:
     points, normals = cloud.points[chosen], cloud.normals[chosen]
     for scale in scales:
@@ -125,9 +158,31 @@ def _walked(
     return T_part_tray
 
 
-def _different(
-    poses: Array, found: Array, model: FitModel, settings: GlobalSettings
-) -> list[int]:
+def _slid(
+    cloud: PartCloud,
+    chosen: NDArray[np.int64],
+    model: FitModel,
+    T_tray_part: Array,
+    plane: Plane,
+    settings: GlobalSettings,
+) -> Array:
+    """Slides a pose ``T_tray_part`` over the tray to where it fits best, shape (4, 4)."""
+    axes = plane_frame(plane)[:3, :2]
+    points, normals = cloud.points[chosen], cloud.normals[chosen]
+    few = chosen[evenly(len(chosen), settings.more)]
+    for width, scales in _SLIDES:
+        tried = np.repeat(T_tray_part[None], len(_GRID), axis=0)
+        tried[:, :3, 3] += width * _GRID @ axes.T
+        best = int(np.argmin(_costs(cloud, few, model, inverse(tried), settings)))
+        T_part_tray = inverse(tried[best])[None]
+        for scale in scales:
+            found = pairs(model, points, normals, T_part_tray)
+            T_part_tray = stepped(found, T_part_tray, scale, any_side=True)
+        T_tray_part = inverse(T_part_tray[0])
+    return T_tray_part
+
+
+def _different(poses: Array, found: Array, model: FitModel, settings: GlobalSettings) -> list[int]:
     """Numbers of poses that differ from each other, the best first."""
     middles = poses[:, :3, :3] @ model.middle + poses[:, :3, 3]
     kept: list[int] = []
@@ -145,19 +200,28 @@ def _different(
 
 
 def _registered(
-    cloud: PartCloud, model: FitModel, start: Array, other: float, settings: GlobalSettings
+    cloud: PartCloud,
+    model: FitModel,
+    start: Array,
+    other: float,
+    plane: Plane,
+    settings: GlobalSettings,
 ) -> Fit:
+    most = evenly(len(cloud.points), settings.most)
+    start = _slid(cloud, most, model, start, plane, settings)
     exact = RegistrationSettings(
         points=settings.final_points // 2,
         final_points=settings.final_points,
-        gate_m=0.002,
+        gate_m=0.0005,
         noise_min_m=5e-6,
     )
     try:
         alignment = register(cloud.points, model.index, start, exact)
     except AlignmentError:
-        alignment = None
-    pose = start if alignment is None else alignment.T_tracker_workpiece
-    more = evenly(len(cloud.points), settings.more)
-    found = pairs(model, cloud.points[more], cloud.normals[more], inverse(pose)[None])
-    return Fit(pose, float(costs(found, settings.cut_m)[0]), other, alignment)
+        # The verdict names what is wrong with such a pose.
+        return Fit(
+            start, float(_costs(cloud, most, model, inverse(start)[None], settings)[0]), other
+        )
+    pose = alignment.T_tracker_workpiece
+    cost = float(_costs(cloud, most, model, inverse(pose)[None], settings)[0])
+    return Fit(pose, cost, other, alignment)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from skinplan.errors import NoCloudError
-from skinplan.recognition.clusters import clusters, normals, spread
+from skinplan.recognition.clusters import clusters, crowd, normals, spread
 from skinplan.recognition.planes import Plane, between
 from skinplan.recognition.vfh import vfh
 from skinplan.transforms import Array
@@ -23,6 +23,7 @@ class CutSettings:
         fewest: Smaller clusters are debris.
         spacing_m: Clouds of parts are thinned to one point per cube of this side [m].
         size_m: Distances in descriptors are counted up to this [m].
+        crowd: Points with fewer others in a cube of 1.5 spacings about them hang in mid-air.
     """
 
     low_m: float = 0.0006
@@ -31,6 +32,7 @@ class CutSettings:
     fewest: int = 60
     spacing_m: float = 0.002
     size_m: float = 0.25
+    crowd: int = 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +124,9 @@ def part_cloud(
     near = np.hypot(*(points[:, :2] - place.middle[:2]).T) < reach
     near &= between(plane.heights(points), settings.low_m, settings.high_m)
     chosen = np.flatnonzero(near)
-    chosen = chosen[spread(points[chosen], settings.spacing_m)]
+    few = spread(points[chosen], settings.spacing_m)
+    beside = crowd(points[chosen], few, settings.spacing_m / 2.0)
+    chosen = chosen[few[beside > settings.crowd]]
     groups = clusters(points[chosen], settings.gap_m, settings.fewest, height_weight=0.0)
     if not groups:
         raise NoCloudError(

@@ -95,9 +95,7 @@ def _best_triple(
     lengths = np.linalg.norm(normals, axis=1)
     normals, corners = normals[lengths > 1e-12], corners[lengths > 1e-12]
     if len(normals) == 0:
-        raise InputError(
-            "a plane was asked for; points that do not lie on one line are accepted"
-        )
+        raise InputError("a plane was asked for; points that do not lie on one line are accepted")
     normals /= lengths[lengths > 1e-12, None]
     offsets = np.einsum("ij,ij->i", normals, corners[:, 0])
     counts = np.count_nonzero(np.abs(points @ normals.T - offsets) < distance_m, axis=0)

@@ -3,11 +3,12 @@
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from skinplan.recognition.fit_model import FitModel, outline_middle
 from skinplan.recognition.planes import Plane
-from skinplan.transforms import Array, transform
+from skinplan.transforms import Array, apply, inverse, transform
 
 # Normals that differ by more are those of the other side of a sheet (cosine).
 _SAME_SIDE = 0.3
@@ -29,7 +30,7 @@ class Pairs:
     normals: Array
     residual: Array
     distance: Array
-    facing: Array
+    facing: NDArray[np.bool_]
 
 
 def pairs(model: FitModel, points: Array, normals: Array, T_part_tray: Array) -> Pairs:
@@ -58,17 +59,19 @@ def pairs(model: FitModel, points: Array, normals: Array, T_part_tray: Array) ->
 
 def costs(found: Pairs, cut_m: float) -> Array:
     """Root mean square distance of each pose, each point counting up to a cut, shape (p,) [m]."""
-    distance = np.where(found.facing, np.minimum(found.distance, cut_m), cut_m)
-    return np.asarray(np.sqrt(np.mean(distance**2, axis=1)))
+    return np.asarray(np.sqrt(np.mean(np.minimum(found.distance, cut_m) ** 2, axis=1)))
 
 
-def stepped(found: Pairs, T_part_tray: Array, scale_m: float) -> Array:
+def stepped(found: Pairs, T_part_tray: Array, scale_m: float, any_side: bool = False) -> Array:
     """Moves each pose by one robust point-to-plane step.
 
     Args:
         found: Of these poses.
         T_part_tray: shape (p, 4, 4) [m].
         scale_m: Points farther off pull no longer [m].
+        any_side: Points count whatever their own normals say. Those on the narrow side of a sheet
+            are often wrong, but only such points hold a sheet along itself; once the pose is
+            nearly right they do no harm.
 
     Returns:
         Poses, shape (p, 4, 4) [m].
@@ -77,12 +80,12 @@ def stepped(found: Pairs, T_part_tray: Array, scale_m: float) -> Array:
     offset = found.points - middle[:, None]
     rows = np.concatenate([np.cross(offset, found.normals), found.normals], axis=2)
     ratio = np.minimum(found.distance / scale_m, 1.0)
-    weight = np.where(found.facing, (1.0 - ratio**2) ** 2, 0.0)
+    weight = np.where(found.facing | any_side, (1.0 - ratio**2) ** 2, 0.0)
     matrix = np.einsum("pni,pn,pnj->pij", rows, weight, rows)
     gradient = np.einsum("pni,pn->pi", rows, weight * found.residual)
     # A little damping: what nothing holds stays.
     spread = np.mean(np.sum(offset**2, axis=2), axis=1)
-    damping = 1e-3 * np.maximum(weight.sum(axis=1), 1.0)
+    damping = 1e-5 * np.maximum(weight.sum(axis=1), 1.0)
     scale = np.concatenate([np.repeat(spread[:, None], 3, 1), np.ones((len(spread), 3))], axis=1)
     matrix += np.einsum("pi,ij->pij", damping[:, None] * scale, np.eye(6))
     step = -np.linalg.solve(matrix, gradient[..., None])[..., 0]
@@ -94,7 +97,9 @@ def stepped(found: Pairs, T_part_tray: Array, scale_m: float) -> Array:
     return moved
 
 
-def lying_poses(model: FitModel, points: Array, plane: Plane, headings: int) -> Array:
+def lying_poses(
+    model: FitModel, points: Array, plane: Plane, headings: int, middles: Array | None = None
+) -> Array:
     """Poses in which the model lies on the tray with its outline's middle where the cloud's is.
 
     Args:
@@ -102,24 +107,27 @@ def lying_poses(model: FitModel, points: Array, plane: Plane, headings: int) -> 
         points: Cloud, tray frame, shape (n, 3) [m].
         plane: The tray.
         headings: So many in each rest.
+        middles: Where the outline's middle may be instead, shape (k, 3) [m].
 
     Returns:
-        ``T_tray_part``, shape (rests * headings, 4, 4) [m].
+        ``T_tray_part``, shape (k * rests * headings, 4, 4) [m].
     """
-    T_tray_plane = _plane_frame(plane)
-    flat = (points - T_tray_plane[:3, 3]) @ T_tray_plane[:3, :3]
-    x, y = outline_middle(flat)
+    T_tray_plane = plane_frame(plane)
+    flat = apply(inverse(T_tray_plane), points if middles is None else middles)
+    places = outline_middle(flat)[None] if middles is None else flat[:, :2]
     angles = 2.0 * np.pi * np.arange(headings) / headings
-    turns = [
-        transform((x, y, 0.0), turn)
-        for turn in Rotation.from_euler("z", angles[:, None]).as_matrix()
-    ]
+    turns = Rotation.from_euler("z", angles[:, None]).as_matrix()
     return np.stack(
-        [T_tray_plane @ turn @ laid for laid in model.laid.values() for turn in turns]
+        [
+            T_tray_plane @ transform((x, y, 0.0), turn) @ laid
+            for x, y in places
+            for laid in model.laid.values()
+            for turn in turns
+        ]
     )
 
 
-def _plane_frame(plane: Plane) -> Array:
+def plane_frame(plane: Plane) -> Array:
     """A frame with z along the plane's normal and its origin on the plane, shape (4, 4)."""
     z = plane.normal
     x = np.eye(3)[int(np.argmin(np.abs(z)))]

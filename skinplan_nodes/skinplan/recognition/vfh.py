@@ -18,9 +18,7 @@ from skinplan.transforms import Array
 SHAPE_BINS, VIEW_BINS = 45, 128
 BINS = 4 * SHAPE_BINS + VIEW_BINS
 #: Where each histogram stands: theta, alpha, phi, distance, viewpoint.
-SECTIONS = tuple(
-    slice(k * SHAPE_BINS, (k + 1) * SHAPE_BINS if k < 4 else BINS) for k in range(5)
-)
+SECTIONS = tuple(slice(k * SHAPE_BINS, (k + 1) * SHAPE_BINS if k < 4 else BINS) for k in range(5))
 
 
 def vfh(points: Array, normals: Array, viewpoint: Array, size_m: float | None = None) -> Array:

@@ -93,9 +93,7 @@ class VirtualCamera:
         kept = np.isfinite(distance)
         return View(pose[:3, 3] + distance[kept, None] * along[kept], pose[:3, 3].copy())
 
-    def _mixed(
-        self, distance: Array, seen: NDArray[np.bool_], rng: np.random.Generator
-    ) -> Array:
+    def _mixed(self, distance: Array, seen: NDArray[np.bool_], rng: np.random.Generator) -> Array:
         """Puts some of the pixels beside a depth step anywhere between both sides."""
         side = self._settings.pixels
         image = distance.reshape(side, side)

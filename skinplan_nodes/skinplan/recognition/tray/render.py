@@ -19,7 +19,7 @@ _MARGIN_M = 0.01
 
 def model_views(
     models: Mapping[str, trimesh.Trimesh],
-    headings: int = 6,
+    headings: int = 9,
     cut: CutSettings | None = None,
     scan: ScanSettings | None = None,
 ) -> Iterator[tuple[str, str, Array]]:
@@ -60,7 +60,7 @@ def rendered(
     body = moved(mesh, resting(mesh, heading_rad, upside_down))
     place = Place.of(np.asarray(body.vertices))
     perfect = ScanSettings(
-        fine_step_m=cut.spacing_m / 1.5,
+        fine_step_m=scan.fine_step_m,
         side_views=scan.side_views,
         tilt_rad=scan.tilt_rad,
         camera=CameraSettings(noise_m=0.0, edge_ratio=0.0),
@@ -78,7 +78,7 @@ def rendered(
 
 
 def render_database(
-    models: Mapping[str, trimesh.Trimesh], headings: int = 6, cut: CutSettings | None = None
+    models: Mapping[str, trimesh.Trimesh], headings: int = 9, cut: CutSettings | None = None
 ) -> ModelDatabase:
     """Builds the database of models."""
     return build(models, model_views(models, headings, cut))

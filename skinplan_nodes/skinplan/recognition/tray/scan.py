@@ -62,12 +62,9 @@ def coarse_scan(
     settings = settings or ScanSettings()
     camera = VirtualCamera(scene, _camera(settings, _TILE_M / 2.0, _COARSE_M, True))
     counts = [max(1, int(np.ceil(length / _TILE_M - 1e-9))) for length in size_m]
-    centres = [
-        ((np.array(index) + 0.5) * _TILE_M)[:2] for index in np.ndindex(*counts)
-    ]
+    centres = [((np.array(index) + 0.5) * _TILE_M)[:2] for index in np.ndindex(*counts)]
     return [
-        camera.shot(looking_at(np.array([x, y, 0.0]), _COARSE_M, 0.0, 0.0), rng)
-        for x, y in centres
+        camera.shot(looking_at(np.array([x, y, 0.0]), _COARSE_M, 0.0, 0.0), rng) for x, y in centres
     ]
 
 
