@@ -53,7 +53,7 @@ class GlobalSettings:
     headings: int = 36
     few: int = 150
     more: int = 500
-    most: int = 2500
+    most: int = 2000
     kept: int = 12
     finalists: int = 3
     cut_m: float = 0.01

@@ -11,6 +11,9 @@ from skinplan.recognition.planes import Plane, between
 from skinplan.recognition.vfh import vfh
 from skinplan.transforms import Array
 
+# Of the coarse scan: points with so few others in a cube of 3 cells of this side hang in mid-air.
+_COARSE_CELL, _COARSE_FEW = 1.5, 5
+
 
 @dataclass(frozen=True)
 class CutSettings:
@@ -28,7 +31,7 @@ class CutSettings:
 
     low_m: float = 0.0006
     high_m: float = 0.2
-    gap_m: float = 0.008
+    gap_m: float = 0.016
     fewest: int = 60
     spacing_m: float = 0.002
     size_m: float = 0.25
@@ -91,6 +94,8 @@ def places(points: Array, plane: Plane, settings: CutSettings | None = None) -> 
     """
     settings = settings or CutSettings()
     kept = points[between(plane.heights(points), settings.low_m, settings.high_m)]
+    # Single points in mid-air would make bridges between neighbours.
+    kept = kept[crowd(kept, np.arange(len(kept)), _COARSE_CELL * settings.spacing_m) > _COARSE_FEW]
     groups = clusters(kept, settings.gap_m, settings.fewest, height_weight=0.0)
     return [Place.of(kept[group]) for group in groups]
 

@@ -49,7 +49,7 @@ class SwarmSettings:
     iterations: int = 90
     points: int = 100
     fine_points: int = 250
-    inertia: tuple[float, float] = (0.4, 0.8)
+    inertia: tuple[float, float] = (0.5, 0.9)
     inertia_stagnant: tuple[float, float] = (0.8, 1.3)
     pull: tuple[float, float] = (1.4, 1.4)
     stagnation_change: float = 0.01
@@ -57,7 +57,7 @@ class SwarmSettings:
     enlarged_share: float = 0.5
     spread_m: float = 0.01
     spread_rad: float = 0.1
-    cut_m: float = 0.02
+    cut_m: float = 0.05
     fine_starts: int = 3
     fine_iterations: int = 120
     fine_m: float = 0.004
@@ -193,9 +193,10 @@ def _flown(
 
 def _scattered(count: int, spread: Array, rng: np.random.Generator) -> Array:
     place = spread * rng.standard_normal((count, 6))
-    # On either side, at any heading.
-    place[:, 3] += np.pi * rng.integers(0, 2, count)
-    place[:, 5] = rng.uniform(-np.pi, np.pi, count)
+    # On either side, headings all around: one between two particles is as good as any other.
+    place[:, 3] += np.pi * (np.arange(count) % 2)
+    headings = (np.arange(count) // 2 + rng.random()) * 4.0 * np.pi / max(count, 2)
+    place[:, 5] += headings
     return np.asarray(place)
 
 

@@ -195,13 +195,21 @@ class TrayRecognizer:
         located = self._located(cloud, plane, names)
         if located and located[0].verdict.grade != FAILED:
             return self._named(located, match, plane)
-        if hidden := self._hidden(cloud, plane, match):
+        if self._is_mixed(located) and (hidden := self._hidden(cloud, plane, match)):
             return hidden
         if located:
             best = located[0]
             reason = f"{best.name} can't be laid on the cloud: {best.verdict.reason}"
             return TrayPart(UNPLACED, alike=names, verdict=best.verdict, match=match, reason=reason)
         return TrayPart(UNKNOWN, match=match, reason=match.reason)
+
+    def _is_mixed(self, located: list[Located]) -> bool:
+        """Whether much of the cloud seems to be something else than the part it was taken for."""
+        if not located:
+            return True
+        # A swarm that did not find the part would say the same.
+        exact = self._settings.registration == REGISTRATIONS[0]
+        return exact and located[0].verdict.on_part_ratio < self._settings.verdict.on_part_min
 
     def _is_outside(self, points: Array) -> bool:
         edge = self._settings.edge_m
