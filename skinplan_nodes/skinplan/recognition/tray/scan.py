@@ -40,9 +40,11 @@ class ScanSettings:
     camera: CameraSettings = field(default_factory=CameraSettings)
 
 
-def tray_scene(parts: Sequence[PlacedPart]) -> list[trimesh.Trimesh]:
+def tray_scene(
+    parts: Sequence[PlacedPart], size_m: tuple[float, float] = TRAY_SIZE_M
+) -> list[trimesh.Trimesh]:
     """The tray's grid and what lies on it, frame of the tray [m]."""
-    return [tray_grid(), *(moved(part.mesh, part.T_tray_part) for part in parts)]
+    return [tray_grid(size_m), *(moved(part.mesh, part.T_tray_part) for part in parts)]
 
 
 def coarse_scan(
