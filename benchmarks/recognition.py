@@ -107,7 +107,7 @@ def row(part: PlacedPart, answer: TrayPart) -> dict[str, Any]:
     return found
 
 
-def run(count: int, results: Path) -> None:
+def run(first: int, count: int, results: Path) -> None:
     """Recognises and registers layouts with both registrations."""
     models = {name: part_mesh(name) for name in MAKERS}
     database = render_database(models)
@@ -116,7 +116,7 @@ def run(count: int, results: Path) -> None:
         for kind in ("global", "pso")
     }
     done = len(results.read_text().splitlines()) if results.exists() else 0
-    for seed in range(done, count):
+    for seed in range(first + done, first + count):
         tray = Tray(seed, recognizers["global"])
         line: dict[str, Any] = {"seed": seed, "places": len(tray.contents.places)}
         for kind, recognizer in recognizers.items():
@@ -266,13 +266,14 @@ def main() -> None:
     """Reads what to do."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("task", choices=("run", "table", "plot", "cloud"))
+    parser.add_argument("--first", type=int, default=0, help="seed of the first layout")
     parser.add_argument("--layouts", type=int, default=100)
     parser.add_argument("--results", type=Path, default=Path("recognition.jsonl"))
     parser.add_argument("--picture", type=Path, default=Path("recognition.png"))
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
     if chosen.task == "run":
-        run(chosen.layouts, chosen.results)
+        run(chosen.first, chosen.layouts, chosen.results)
     elif chosen.task == "cloud":
         cloud(chosen.seed, chosen.picture)
     else:

@@ -7,7 +7,7 @@ import trimesh
 from skinplan.errors import InputError, NoCloudError
 from skinplan.recognition.clusters import clusters, crowd, normals, spread, thinned
 from skinplan.recognition.planes import between, find_plane
-from skinplan.recognition.tray.camera import CameraSettings, VirtualCamera, looking_at
+from skinplan.recognition.tray.camera import CameraSettings, Scene, VirtualCamera, looking_at
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -116,7 +116,7 @@ def test_the_camera_looks_where_it_is_told() -> None:
 
 
 def test_the_camera_has_the_noise_of_its_settings_and_sees_no_flat_rays() -> None:
-    camera = VirtualCamera([plate(1.0)], CameraSettings(pixels=120, noise_m=5e-6))
+    camera = VirtualCamera(Scene([plate(1.0)]), CameraSettings(pixels=120, noise_m=5e-6))
     view = camera.shot(looking_at(np.zeros(3), 0.5, 0.0, 0.0), np.random.default_rng(0))
     assert len(view.points) == 120**2
     along = (view.points - view.seen_from)[:, 2] / np.linalg.norm(
@@ -136,7 +136,7 @@ def test_the_camera_has_the_noise_of_its_settings_and_sees_no_flat_rays() -> Non
 
 
 def test_only_beside_depth_steps_points_hang_in_mid_air() -> None:
-    scene = [plate(0.08, 0.05), plate(0.6)]
+    scene = Scene([plate(0.08, 0.05), plate(0.6)])
     pose = looking_at(np.zeros(3), 0.6, 0.0, 0.0)
     settings = CameraSettings(pixels=200, noise_m=0.0, edge_ratio=0.3)
     points = VirtualCamera(scene, settings).shot(pose, np.random.default_rng(0)).points
@@ -147,4 +147,4 @@ def test_only_beside_depth_steps_points_hang_in_mid_air() -> None:
     z = clean.shot(pose, np.random.default_rng(0)).points[:, 2]
     assert np.all((np.abs(z) < 1e-6) | (np.abs(z - 0.05) < 1e-6))
     with pytest.raises(InputError, match="at least one body"):
-        VirtualCamera([])
+        Scene([])

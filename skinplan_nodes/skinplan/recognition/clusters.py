@@ -57,6 +57,8 @@ def spread(points: Array, spacing_m: float) -> NDArray[np.int64]:
         InputError: A spacing that is not positive.
     """
     chosen = thinned(points, spacing_m)
+    if len(chosen) == 0:
+        return chosen
     pairs = cKDTree(points[chosen]).query_pairs(_CLOSE * spacing_m, output_type="ndarray")
     kept = np.ones(len(chosen), dtype=bool)
     # In order of their numbers, the first of a pair stays unless it has gone itself.
@@ -79,6 +81,8 @@ def crowd(points: Array, chosen: NDArray[np.int64], side_m: float) -> NDArray[np
     Returns:
         Number of points in the cube, the point itself included, shape (m,).
     """
+    if len(points) == 0:
+        return np.zeros(0, dtype=np.int64)
     cells = np.floor(points / side_m).astype(np.int64)
     cells -= cells.min(axis=0) - 1
     sizes = cells.max(axis=0) + 2

@@ -53,20 +53,32 @@ class View:
     seen_from: Array
 
 
+class Scene:
+    """Bodies that cameras look at.
+
+    Args:
+        meshes: In the world frame, at least one [m].
+
+    Raises:
+        InputError: There is none.
+    """
+
+    def __init__(self, meshes: Sequence[trimesh.Trimesh]) -> None:
+        self.mesh = _joined(meshes)
+        self.rays = RayCaster(self.mesh)
+
+
 class VirtualCamera:
     """Takes shots of bodies.
 
     Args:
-        meshes: In the world frame, at least one face in all [m].
+        scene: What it looks at.
         settings: The camera.
     """
 
-    def __init__(
-        self, meshes: Sequence[trimesh.Trimesh], settings: CameraSettings | None = None
-    ) -> None:
+    def __init__(self, scene: Scene, settings: CameraSettings | None = None) -> None:
         self._settings = settings or CameraSettings()
-        self._mesh = _joined(meshes)
-        self._rays = RayCaster(self._mesh)
+        self._scene = scene
         self._directions = _directions(self._settings)
 
     def shot(self, T_world_optical: Array, rng: np.random.Generator) -> View:
@@ -81,12 +93,12 @@ class VirtualCamera:
         """
         pose = require_transform(T_world_optical, "camera pose")
         along = rotate(pose, self._directions)
-        distance, faces = self._rays.hits(np.broadcast_to(pose[:3, 3], along.shape), along)
+        distance, faces = self._scene.rays.hits(np.broadcast_to(pose[:3, 3], along.shape), along)
         # Depth along the optical axis: steps of it are edges.
         depth = distance * self._directions[:, 2]
         low, high = self._settings.range_m
         seen = (faces >= 0) & (depth > low) & (depth < high)
-        slope = np.abs(np.einsum("ij,ij->i", self._mesh.face_normals[faces], along))
+        slope = np.abs(np.einsum("ij,ij->i", self._scene.mesh.face_normals[faces], along))
         seen &= slope > np.cos(self._settings.incidence_max_rad)
         distance = self._mixed(np.where(seen, distance, np.nan), seen, rng)
         distance = distance + rng.normal(0.0, self._settings.noise_m, len(distance))

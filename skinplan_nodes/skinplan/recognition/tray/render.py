@@ -8,7 +8,7 @@ import trimesh
 from skinplan.recognition.database import RESTS, ModelDatabase, build
 from skinplan.recognition.part_cloud import CutSettings, PartCloud, Place, part_cloud
 from skinplan.recognition.planes import Plane
-from skinplan.recognition.tray.camera import CameraSettings, moved
+from skinplan.recognition.tray.camera import CameraSettings, Scene, moved
 from skinplan.recognition.tray.layout import resting
 from skinplan.recognition.tray.scan import ScanSettings, fine_scan
 from skinplan.transforms import Array
@@ -66,7 +66,7 @@ def rendered(
         camera=CameraSettings(noise_m=0.0, edge_ratio=0.0),
     )
     views = fine_scan(
-        [body],
+        Scene([body]),
         place.middle,
         place.radius_m + _MARGIN_M,
         np.random.default_rng(0),

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-import trimesh
 
 from skinplan.recognition.tray.camera import (
     CameraSettings,
+    Scene,
     View,
     VirtualCamera,
     looking_at,
@@ -40,15 +40,13 @@ class ScanSettings:
     camera: CameraSettings = field(default_factory=CameraSettings)
 
 
-def tray_scene(
-    parts: Sequence[PlacedPart], size_m: tuple[float, float] = TRAY_SIZE_M
-) -> list[trimesh.Trimesh]:
+def tray_scene(parts: Sequence[PlacedPart], size_m: tuple[float, float] = TRAY_SIZE_M) -> Scene:
     """The tray's grid and what lies on it, frame of the tray [m]."""
-    return [tray_grid(size_m), *(moved(part.mesh, part.T_tray_part) for part in parts)]
+    return Scene([tray_grid(size_m), *(moved(part.mesh, part.T_tray_part) for part in parts)])
 
 
 def coarse_scan(
-    scene: Sequence[trimesh.Trimesh],
+    scene: Scene,
     rng: np.random.Generator,
     settings: ScanSettings | None = None,
     size_m: tuple[float, float] = TRAY_SIZE_M,
@@ -71,7 +69,7 @@ def coarse_scan(
 
 
 def fine_scan(
-    scene: Sequence[trimesh.Trimesh],
+    scene: Scene,
     middle: Array,
     radius_m: float,
     rng: np.random.Generator,
