@@ -16,13 +16,15 @@ from typing import Any
 
 import matplotlib as mpl
 import numpy as np
+import trimesh
 
+from skinplan.recognition.database import ModelDatabase
 from skinplan.recognition.grubbs import grubbs_critical, grubbs_outliers, grubbs_statistic
 from skinplan.recognition.tray.layout import PlacedPart, layout
 from skinplan.recognition.tray.parts import MAKERS, TWINS, part_mesh
 from skinplan.recognition.tray.render import render_database
 from skinplan.recognition.tray.scan import coarse_scan, fine_scan, tray_scene
-from skinplan.recognition.tray_parts import TrayPart, TrayRecognizer, TraySettings
+from skinplan.recognition.tray_parts import REGISTRATIONS, TrayPart, TrayRecognizer, TraySettings
 from skinplan.transforms import apply, difference
 
 mpl.use("Agg")
@@ -107,17 +109,30 @@ def row(part: PlacedPart, answer: TrayPart) -> dict[str, Any]:
     return found
 
 
-def run(first: int, count: int, results: Path) -> None:
-    """Recognises and registers layouts with both registrations."""
-    models = {name: part_mesh(name) for name in MAKERS}
+def database_beside(results: Path, models: dict[str, trimesh.Trimesh]) -> ModelDatabase:
+    """The database of the models, kept beside the results."""
+    path = results.with_suffix(".npz")
+    if path.exists():
+        database = ModelDatabase.load(path)
+        database.check(models)
+        return database
     database = render_database(models)
+    database.save(path)
+    return database
+
+
+def run(chosen: argparse.Namespace) -> None:
+    """Recognises and registers layouts."""
+    models = {name: part_mesh(name) for name in MAKERS}
+    results: Path = chosen.results[0]
+    database = database_beside(results, models)
     recognizers = {
         kind: TrayRecognizer(models, database, TraySettings(registration=kind))
-        for kind in ("global", "pso")
+        for kind in chosen.registration
     }
     done = len(results.read_text().splitlines()) if results.exists() else 0
-    for seed in range(first + done, first + count):
-        tray = Tray(seed, recognizers["global"])
+    for seed in range(chosen.first + done, chosen.first + chosen.layouts):
+        tray = Tray(seed, next(iter(recognizers.values())))
         line: dict[str, Any] = {"seed": seed, "places": len(tray.contents.places)}
         for kind, recognizer in recognizers.items():
             answers, wall, used = tray.recognized(recognizer)
@@ -132,7 +147,13 @@ def run(first: int, count: int, results: Path) -> None:
 
 def parts_of(lines: list[dict[str, Any]], kind: str, name: str) -> list[dict[str, Any]]:
     """Answers about one type."""
-    return [each for line in lines for each in line[kind]["parts"] if each["truth"] == name]
+    return [
+        each
+        for line in lines
+        if kind in line
+        for each in line[kind]["parts"]
+        if each["truth"] == name
+    ]
 
 
 def table(lines: list[dict[str, Any]]) -> None:
@@ -150,10 +171,12 @@ def table(lines: list[dict[str, Any]]) -> None:
         other = "twin" if twin else f"{min(each['vfh_next'] for each in rows):.3f}"
         print(f"| {name} | {own} / {len(rows)} | {far:.3f} | {other} | {named} / {len(rows)} |")
     for kind in ("global", "pso"):
-        registration_table(lines, kind)
-    for kind in ("global", "pso"):
+        some = [line for line in lines if kind in line]
+        if not some:
+            continue
+        registration_table(some, kind)
         for clock in ("wall_s", "cpu_s"):
-            values = [line[kind][clock] for line in lines]
+            values = [line[kind][clock] for line in some]
             print(f"{kind} {clock}: median {np.median(values):.2f}, largest {max(values):.2f}")
     confusion(lines)
 
@@ -221,7 +244,7 @@ def plot(lines: list[dict[str, Any]], picture: Path) -> None:
         limit = 0.2 if kind == "global" else 1.403
         axis.axvline(limit, color="tab:red", linestyle="--", label=f"{limit} mm (mean of a tray)")
         axis.set_xlabel("RMSE, eq (3) [mm]")
-        axis.set_title(f"{kind}, {len(lines)} layouts")
+        axis.set_title(f"{kind}, {sum(kind in line for line in lines)} layouts")
         axis.invert_yaxis()
         axis.legend(loc="lower right")
     figure.savefig(picture, dpi=90)
@@ -268,16 +291,18 @@ def main() -> None:
     parser.add_argument("task", choices=("run", "table", "plot", "cloud"))
     parser.add_argument("--first", type=int, default=0, help="seed of the first layout")
     parser.add_argument("--layouts", type=int, default=100)
-    parser.add_argument("--results", type=Path, default=Path("recognition.jsonl"))
+    parser.add_argument("--results", type=Path, nargs="+", default=[Path("recognition.jsonl")])
+    parser.add_argument("--registration", nargs="+", default=REGISTRATIONS, choices=REGISTRATIONS)
     parser.add_argument("--picture", type=Path, default=Path("recognition.png"))
     parser.add_argument("--seed", type=int, default=0)
     chosen = parser.parse_args()
     if chosen.task == "run":
-        run(chosen.first, chosen.layouts, chosen.results)
+        run(chosen)
     elif chosen.task == "cloud":
         cloud(chosen.seed, chosen.picture)
     else:
-        lines = [json.loads(line) for line in chosen.results.read_text().splitlines()]
+        texts = [path.read_text() for path in chosen.results]
+        lines = [json.loads(line) for text in texts for line in text.splitlines()]
         table(lines) if chosen.task == "table" else plot(lines, chosen.picture)
 
 

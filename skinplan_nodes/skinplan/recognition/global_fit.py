@@ -5,7 +5,7 @@ whose scale shrinks, and the winner is laid on the exact surface by the inspecti
 which also gives the covariance and names what nothing determines.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,11 @@ _SLIDES = (
     (0.004, (0.003, 0.003, 0.002)),
     (0.0013, (0.002, 0.001, 0.001)),
     (0.0004, (0.001, 0.0005, 0.0005, 0.0003, 0.0003)),
+    (0.0001, (0.0003, 0.0002, 0.0001, 0.0001)),
 )
+# Beyond so many of these distances it makes no difference how far off a point is: points in mid-air
+# beside an edge must not draw it to themselves.
+_CUT = 3.0
 _GRID = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(-1, 2)
 
 
@@ -59,7 +63,7 @@ class GlobalSettings:
     cut_m: float = 0.01
     apart_m: float = 0.003
     apart_rad: float = 0.05
-    final_points: int = 4000
+    final_points: int = 6000
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,9 +175,10 @@ def _slid(
     points, normals = cloud.points[chosen], cloud.normals[chosen]
     few = chosen[evenly(len(chosen), settings.more)]
     for width, scales in _SLIDES:
+        sharp = replace(settings, cut_m=min(settings.cut_m, _CUT * width))
         tried = np.repeat(T_tray_part[None], len(_GRID), axis=0)
         tried[:, :3, 3] += width * _GRID @ axes.T
-        best = int(np.argmin(_costs(cloud, few, model, inverse(tried), settings)))
+        best = int(np.argmin(_costs(cloud, few, model, inverse(tried), sharp)))
         T_part_tray = inverse(tried[best])[None]
         for scale in scales:
             found = pairs(model, points, normals, T_part_tray)
@@ -213,7 +218,6 @@ def _registered(
         points=settings.final_points // 2,
         final_points=settings.final_points,
         gate_m=0.0005,
-        noise_min_m=5e-6,
     )
     try:
         alignment = register(cloud.points, model.index, start, exact)
