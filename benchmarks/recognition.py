@@ -2,7 +2,7 @@
 
 Run as ``python benchmarks/recognition.py run [--layouts N] [--results FILE]``, then ``... table``,
 ``... plot --picture FILE`` or ``... cloud --picture FILE``. ``run`` appends one JSON line for each
-layout and goes on where it was stopped.
+layout and goes on where it was stopped; the database of models is kept beside the results.
 """
 
 import argparse
@@ -24,7 +24,8 @@ from skinplan.recognition.tray.layout import PlacedPart, layout
 from skinplan.recognition.tray.parts import MAKERS, TWINS, part_mesh
 from skinplan.recognition.tray.render import render_database
 from skinplan.recognition.tray.scan import coarse_scan, fine_scan, tray_scene
-from skinplan.recognition.tray_parts import REGISTRATIONS, TrayPart, TrayRecognizer, TraySettings
+from skinplan.recognition.tray_answers import REGISTRATIONS, TrayPart, TraySettings
+from skinplan.recognition.tray_recognizer import TrayRecognizer
 from skinplan.transforms import apply, difference
 
 mpl.use("Agg")
@@ -250,10 +251,10 @@ def plot(lines: list[dict[str, Any]], picture: Path) -> None:
     figure.savefig(picture, dpi=90)
 
 
-def cloud(seed: int, picture: Path) -> None:
+def cloud(seed: int, results: Path, picture: Path) -> None:
     """Draws the registered models over the cloud of one tray."""
     models = {name: part_mesh(name) for name in MAKERS}
-    recognizer = TrayRecognizer(models, render_database(models))
+    recognizer = TrayRecognizer(models, database_beside(results, models))
     tray = Tray(seed, recognizer)
     answers, _, _ = tray.recognized(recognizer)
     figure, axis = plt.subplots(figsize=(13, 6.8), layout="constrained")
@@ -299,7 +300,7 @@ def main() -> None:
     if chosen.task == "run":
         run(chosen)
     elif chosen.task == "cloud":
-        cloud(chosen.seed, chosen.picture)
+        cloud(chosen.seed, chosen.results[0], chosen.picture)
     else:
         texts = [path.read_text() for path in chosen.results]
         lines = [json.loads(line) for text in texts for line in text.splitlines()]

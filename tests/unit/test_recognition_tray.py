@@ -13,8 +13,6 @@ from skinplan.recognition.database import (
     MatchSettings,
     ModelDatabase,
     build,
-    embedded,
-    model_hash,
 )
 from skinplan.recognition.fit_model import FitModel, outline_middle
 from skinplan.recognition.global_fit import global_fit
@@ -25,7 +23,7 @@ from skinplan.recognition.tray.layout import PlacedPart, resting
 from skinplan.recognition.tray.parts import MAKERS, TWINS, part_mesh
 from skinplan.recognition.tray.render import model_views, render_database, rendered
 from skinplan.recognition.tray.scan import coarse_scan, fine_scan, tray_scene
-from skinplan.recognition.tray_parts import (
+from skinplan.recognition.tray_answers import (
     ALIKE,
     KNOWN,
     OUTSIDE,
@@ -33,16 +31,17 @@ from skinplan.recognition.tray_parts import (
     UNKNOWN,
     UNPLACED,
     TrayPart,
-    TrayRecognizer,
     TraySettings,
 )
+from skinplan.recognition.tray_recognizer import TrayRecognizer
+from skinplan.recognition.twins import embedded, model_hash
 from skinplan.recognition.verdict import AMBIGUOUS, FAILED, GOOD, judge
 from skinplan.recognition.vfh import BINS
 from skinplan.transforms import apply, difference, inverse, transform
 
 SIZE_M = (0.48, 0.48)
 TRAY = Plane(np.array([0.0, 0.0, 1.0]), 0.0, 1.0, 0.0)
-NAMES = ("angle_clip", "zee_clip", "doubler", *TWINS)
+NAMES = ("angle_clip", "doubler", *TWINS)
 HEADINGS = 3
 
 
@@ -91,10 +90,10 @@ def off(part: PlacedPart, T_tray_part: np.ndarray) -> tuple[float, float]:
 
 def test_parts_are_named_and_located(recognizer: TrayRecognizer) -> None:
     rib = placed("rib_right", 0.2, 0.13, 0.2)
-    clip = placed("zee_clip", 0.2, 0.33, 2.0)
+    clip = placed("angle_clip", 0.2, 0.33, 2.0)
     plate = placed("doubler", 0.37, 0.33, 1.5, turned=True)
     found = {answer.name: answer for answer in answers(recognizer, rib, clip, plate)}
-    assert set(found) == {"rib_right", "zee_clip", "doubler"}
+    assert set(found) == {"rib_right", "angle_clip", "doubler"}
     for part in (rib, clip, plate):
         answer = found[part.name]
         assert answer.answer == KNOWN, answer.reason

@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from skinplan.errors import InputError
-from skinplan.recognition.database import embedded, mirrored
+from skinplan.recognition.twins import embedded, mirrored
 from skinplan.recognition.vfh import BINS, SECTIONS, vfh
 
 THETA, ALPHA, PHI, DISTANCE, VIEW = SECTIONS

@@ -4,7 +4,6 @@ Histograms are compared by the square roots of their bins (Hellinger's distance)
 with Euclidean distances, and a few percent in an empty bin count more than in a full one.
 """
 
-import hashlib
 import zipfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
@@ -17,14 +16,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from skinplan.errors import InputError
-from skinplan.recognition.vfh import BINS, SECTIONS
+from skinplan.recognition.twins import embedded, model_hash, twins
+from skinplan.recognition.vfh import BINS
 from skinplan.transforms import Array
 from skinplan.whole_file import whole_file
 
 _VERSION = 1
 _KEYS = ("version", "names", "hashes", "model", "rest", "descriptors")
-# Volumes and areas of twins agree to this share [1].
-_SAME_SIZE = 1e-3
 
 #: How a model can lie: as it was made, or turned over.
 RESTS = ("upright", "upside down")
@@ -64,14 +62,6 @@ class Match:
     distance: float
     distances: dict[str, float] = field(default_factory=dict)
     reason: str = ""
-
-
-def model_hash(mesh: trimesh.Trimesh) -> str:
-    """Hash of a model's shape over whole micrometres, hex."""
-    digest = hashlib.sha256()
-    digest.update(np.rint(np.asarray(mesh.vertices) * 1e6).astype("<i8").tobytes())
-    digest.update(np.asarray(mesh.faces).astype("<i8").tobytes())
-    return digest.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -262,45 +252,5 @@ def build(
         database.model,
         database.rest,
         database.descriptors,
-        _twins(models, database),
+        twins(models, database.names, database.model, database.descriptors),
     )
-
-
-def embedded(descriptors: Array) -> Array:
-    """Square roots of the bins, scaled so that the distance of two descriptors is at most 1."""
-    return np.asarray(np.sqrt(descriptors / (2.0 * 100.0 * len(SECTIONS))))
-
-
-def mirrored(descriptors: Array) -> Array:
-    """Descriptors of the mirror images, shape (..., 308): only alpha changes its sign."""
-    turned = descriptors.copy()
-    turned[..., SECTIONS[1]] = descriptors[..., SECTIONS[1]][..., ::-1]
-    return np.asarray(turned)
-
-
-def _twins(
-    models: Mapping[str, trimesh.Trimesh], database: ModelDatabase, alike: float = 0.1
-) -> tuple[tuple[str, str, str], ...]:
-    found = []
-    views = embedded(database.descriptors)
-    mirror = embedded(mirrored(database.descriptors))
-    for i, first in enumerate(database.names):
-        for j in range(i + 1, len(database.names)):
-            second = database.names[j]
-            if not _same_size(models[first], models[second]):
-                continue
-            mine, theirs = database.model == i, database.model == j
-            if not mine.any() or not theirs.any():
-                continue
-            other = cKDTree(views[theirs])
-            same = float(other.query(views[mine])[0].max())
-            flipped = float(other.query(mirror[mine])[0].max())
-            if min(same, flipped) < alike:
-                kind = "of the same shape" if same <= flipped else "mirror twins"
-                found.append((first, second, kind))
-    return tuple(found)
-
-
-def _same_size(one: trimesh.Trimesh, other: trimesh.Trimesh) -> bool:
-    figures = np.array([[mesh.volume, mesh.area] for mesh in (one, other)])
-    return bool(np.all(np.abs(figures[0] - figures[1]) <= _SAME_SIZE * np.abs(figures[0])))

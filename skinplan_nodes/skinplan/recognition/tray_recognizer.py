@@ -4,121 +4,34 @@ Nothing is guessed: what is unknown, alike, overlapping or half outside is named
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 import trimesh
 
 from skinplan.errors import NoCloudError
 from skinplan.inspection.points import checked_points, evenly
-from skinplan.recognition.database import RESTS, Match, MatchSettings, ModelDatabase
+from skinplan.recognition.database import RESTS, Match, ModelDatabase
 from skinplan.recognition.fit_model import FitModel
-from skinplan.recognition.global_fit import Fit, GlobalSettings, global_fit
-from skinplan.recognition.part_cloud import CutSettings, PartCloud, Place, part_cloud, places
+from skinplan.recognition.global_fit import Fit, global_fit
+from skinplan.recognition.part_cloud import PartCloud, Place, part_cloud, places
 from skinplan.recognition.planes import Plane, find_plane
-from skinplan.recognition.swarm import SwarmSettings, swarm_fit
-from skinplan.recognition.verdict import FAILED, GOOD, Verdict, VerdictSettings, judge
+from skinplan.recognition.swarm import swarm_fit
+from skinplan.recognition.tray_answers import (
+    ALIKE,
+    KNOWN,
+    OUTSIDE,
+    OVERLAPPING,
+    REGISTRATIONS,
+    UNKNOWN,
+    UNPLACED,
+    Located,
+    TrayContents,
+    TrayPart,
+    TraySettings,
+)
+from skinplan.recognition.verdict import FAILED, GOOD, judge
 from skinplan.strategies import chosen
 from skinplan.transforms import Array, apply, inverse
-
-REGISTRATIONS = ("global", "pso")
-
-KNOWN = "known part"
-ALIKE = "alike parts"
-UNKNOWN = "unknown part"
-OVERLAPPING = "overlapping parts"
-OUTSIDE = "part half outside"
-UNPLACED = "part not located"
-
-
-@dataclass(frozen=True)
-class TraySettings:
-    """How parts on the tray are recognised.
-
-    Attributes:
-        registration: `global` or `pso`.
-        size_m: Of the tray; its corner is the origin of the clouds' frame [m].
-        edge_m: What comes this near to the tray's edge is half outside [m].
-        alike_ratio: Of several candidates, one whose residual is this many times less than that of
-            the others is the part [1].
-        alike_m: Residuals below this can't be told apart [m].
-        complete_hidden_min: A part below another one shows at least this share of itself [1].
-        on_part_hidden_min: At least this share of the points lies on one of overlapping parts [1].
-        hidden_grid: So many places to a side are tried for a part below another one.
-        seed: Of all random numbers.
-        cut: How parts are cut out of clouds.
-        match: When a descriptor belongs to a model.
-        search: Of `global`.
-        swarm: Of `pso`.
-        verdict: What makes a registration good.
-    """
-
-    registration: str = "global"
-    size_m: tuple[float, float] = (1.8, 0.9)
-    edge_m: float = 0.003
-    alike_ratio: float = 2.0
-    alike_m: float = 1e-4
-    complete_hidden_min: float = 0.5
-    on_part_hidden_min: float = 0.3
-    hidden_grid: int = 4
-    seed: int = 0
-    cut: CutSettings = field(default_factory=CutSettings)
-    match: MatchSettings = field(default_factory=MatchSettings)
-    search: GlobalSettings = field(default_factory=GlobalSettings)
-    swarm: SwarmSettings = field(default_factory=SwarmSettings)
-    verdict: VerdictSettings = field(default_factory=VerdictSettings)
-
-
-@dataclass(frozen=True, eq=False)
-class Located:
-    """One candidate laid on the cloud."""
-
-    name: str
-    fit: Fit
-    verdict: Verdict
-
-
-@dataclass(frozen=True, eq=False)
-class TrayPart:
-    """What lies at one place.
-
-    Attributes:
-        answer: `KNOWN`, `ALIKE`, `UNKNOWN`, `OVERLAPPING`, `OUTSIDE` or `UNPLACED`.
-        name: The part; None = not known.
-        alike: Parts that it may be, when it can't be told.
-        lies: `upright` or `upside down`; empty when not known.
-        T_tray_part: shape (4, 4) [m]; None = not known.
-        covariance: Of the pose, rotation vector [rad] and position [m] about the middle of the
-            cloud, part frame, shape (6, 6); None = not known.
-        verdict: Of the registration; None = none was made.
-        match: What the descriptor said; None = it was not asked.
-        reason: The answer as a sentence.
-    """
-
-    answer: str
-    name: str | None = None
-    alike: tuple[str, ...] = ()
-    lies: str = ""
-    T_tray_part: Array | None = None
-    covariance: Array | None = None
-    verdict: Verdict | None = None
-    match: Match | None = None
-    reason: str = ""
-
-
-@dataclass(frozen=True, eq=False)
-class TrayContents:
-    """What the coarse scan shows.
-
-    Attributes:
-        plane: The tray.
-        places: Where something lies, the largest first.
-        reason: In a sentence: `empty tray`, or how many places.
-    """
-
-    plane: Plane
-    places: tuple[Place, ...]
-    reason: str
 
 
 class TrayRecognizer:
@@ -272,21 +185,26 @@ class TrayRecognizer:
         shares = (np.arange(settings.hidden_grid) + 0.5) / settings.hidden_grid
         grid = np.stack(np.meshgrid(shares, shares, [0.0]), axis=-1).reshape(-1, 3)
         middles = low + grid * (high - low)
-        for name in self._models:
-            best = self._laid(cloud, plane, name, middles)
-            verdict = best.verdict
-            if (
-                settings.on_part_hidden_min <= verdict.on_part_ratio < settings.verdict.on_part_min
-                and verdict.complete_ratio >= settings.complete_hidden_min
-                and self._sharp(cloud, best)
-            ):
-                share = 100.0 * verdict.on_part_ratio
-                reason = (
-                    f"overlapping parts: {share:.0f} % of the points lie on {name}, the others "
-                    "belong to something that lies over or against it"
-                )
-                return TrayPart(OVERLAPPING, name, match=match, verdict=verdict, reason=reason)
-        return None
+        found = [self._laid(cloud, plane, name, middles) for name in self._models]
+        below = [each for each in found if self._is_below(cloud, each)]
+        if not below:
+            return None
+        best = max(below, key=lambda each: each.verdict.on_part_ratio)
+        share = 100.0 * best.verdict.on_part_ratio
+        reason = (
+            f"overlapping parts: {share:.0f} % of the points lie on {best.name}, the others belong "
+            "to something that lies over or against it"
+        )
+        return TrayPart(OVERLAPPING, best.name, match=match, verdict=best.verdict, reason=reason)
+
+    def _is_below(self, cloud: PartCloud, located: Located) -> bool:
+        """Whether a part explains much of the cloud, and exactly, but not all of it."""
+        settings, verdict = self._settings, located.verdict
+        return (
+            settings.on_part_hidden_min <= verdict.on_part_ratio < settings.verdict.on_part_min
+            and verdict.complete_ratio >= settings.complete_hidden_min
+            and self._sharp(cloud, located)
+        )
 
     def _sharp(self, cloud: PartCloud, located: Located) -> bool:
         """Whether the points on the part lie on it as exactly as those of a part do."""
