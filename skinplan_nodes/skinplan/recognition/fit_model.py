@@ -11,6 +11,7 @@ from skinplan.inspection.closest import SurfaceIndex
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.recognition.database import RESTS
 from skinplan.scanner.model import SurfaceSamples
+from skinplan.scanner.rays import RayCaster
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import Array, transform
 
@@ -80,9 +81,15 @@ class FitModel:
         low = float((self.mesh.vertices @ turn.T)[:, 2].min())
         return transform((-x, -y, -low), turn)
 
+    @cached_property
+    def rays(self) -> RayCaster:
+        """Rays against the surface."""
+        return RayCaster(self.mesh)
+
     def prepare(self) -> "FitModel":
         """Computes all of the above, so that the first registration takes no longer than others."""
-        assert self.index.mesh is self.mesh and self.tree.n and self.laid and self.size_m > 0.0
+        for name in ("index", "tree", "laid", "rays", "size_m", "middle"):
+            getattr(self, name)
         return self
 
 

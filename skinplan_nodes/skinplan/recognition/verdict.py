@@ -1,7 +1,6 @@
 """How well a cloud lies on a model, and what that is worth: good, ambiguous or failed."""
 
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from scipy.spatial import cKDTree
@@ -10,7 +9,6 @@ from skinplan.inspection.model import Alignment
 from skinplan.inspection.points import evenly
 from skinplan.recognition.fit_model import FitModel
 from skinplan.recognition.part_cloud import PartCloud
-from skinplan.scanner.rays import RayCaster
 from skinplan.transforms import Array, apply, inverse, rotate
 
 GOOD, AMBIGUOUS, FAILED = "good", "ambiguous", "failed"
@@ -109,7 +107,7 @@ def complete_ratio(cloud: PartCloud, model: FitModel, T_tray_part: Array, near_m
     toward /= np.linalg.norm(toward, axis=1, keepdims=True)
     seen = np.flatnonzero(np.einsum("ij,ij->i", normals, toward) > _SEEN)
     seen = seen[evenly(len(seen), _POINTS)]
-    hidden = _rays(model).occluded(points[seen] + _OFF_M * normals[seen], toward[seen], 10.0)
+    hidden = model.rays.occluded(points[seen] + _OFF_M * normals[seen], toward[seen], 10.0)
     seen = seen[~hidden]
     if len(seen) == 0:
         return 0.0
@@ -122,11 +120,6 @@ def complete_ratio(cloud: PartCloud, model: FitModel, T_tray_part: Array, near_m
     same = np.zeros(len(seen), dtype=bool)
     same[found] = np.einsum("ij,ij->i", facing[which[found]], normals[seen[found]]) > 0.0
     return float(np.mean(same))
-
-
-@lru_cache(maxsize=64)
-def _rays(model: FitModel) -> RayCaster:
-    return RayCaster(model.mesh)
 
 
 def _failure(rmse: float, on_part: float, complete: float, settings: VerdictSettings) -> str:
