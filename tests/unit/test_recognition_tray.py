@@ -203,7 +203,7 @@ def test_matches_are_those_of_brute_force(database: ModelDatabase) -> None:
         build({"doubler": part_mesh("doubler")}, [("wing", RESTS[0], np.zeros(BINS))])
 
 
-@pytest.mark.parametrize("name", ["angle_clip", "doubler"])
+@pytest.mark.parametrize("name", ["angle_clip", pytest.param("doubler", marks=pytest.mark.long)])
 def test_swarm_and_global_find_a_clean_cloud(name: str) -> None:
     part, cloud = lying(name, 1.3)
     model = FitModel.of(name, part.mesh)
