@@ -246,7 +246,7 @@ def plot(lines: list[dict[str, Any]], picture: Path) -> None:
         axis.axvline(limit, color="tab:red", linestyle="--")
         axis.set_xlabel("RMSE, eq (3) [mm]")
         some = sum(kind in line for line in lines)
-        axis.set_title(f"{kind}, {some} layouts; dashed: {limit} mm for the mean of a tray")
+        axis.set_title(f"{kind}, {some} layouts; dashed: {limit} mm")
         axis.invert_yaxis()
     figure.savefig(picture, dpi=90)
 
