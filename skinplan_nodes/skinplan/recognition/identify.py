@@ -6,7 +6,7 @@ A cloud counts as a part when its size fits, its points lie on the part, and the
 its points. Two parts that fit about equally well are said to be alike; none is guessed.
 """
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -126,6 +126,23 @@ def identify(
         InputError: No candidates, or values that can't be used.
     """
     settings = settings or IdentifySettings()
+    cloud = checked_question(points, candidates)
+    seen_from = (
+        None
+        if outside is None
+        else checked_points(np.asarray(outside, dtype=float).reshape(1, -1))[0]
+    )
+    fits = {name: _fit(cloud, mesh, settings, seen_from) for name, mesh in candidates.items()}
+    return _answer(fits, settings)
+
+
+def checked_question(points: Array, candidates: Collection[str]) -> Array:
+    """Returns the points by which a part is to be identified, shape (n, 3) [m].
+
+    Raises:
+        NoCloudError: Too few points.
+        InputError: No candidates, or values that can't be used.
+    """
     if not candidates:
         raise InputError(
             "a part was to be identified; at least one candidate is accepted, found none"
@@ -136,13 +153,7 @@ def identify(
             f"a part was to be identified; at least {_FEWEST} points are accepted, found "
             f"{len(cloud)}"
         )
-    seen_from = (
-        None
-        if outside is None
-        else checked_points(np.asarray(outside, dtype=float).reshape(1, -1))[0]
-    )
-    fits = {name: _fit(cloud, mesh, settings, seen_from) for name, mesh in candidates.items()}
-    return _answer(fits, settings)
+    return cloud
 
 
 def _answer(fits: dict[str, Fit], settings: IdentifySettings) -> Identification:

@@ -13,13 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from skinplan.errors import AlignmentError, InputError, NoCloudError
+from skinplan.errors import AlignmentError
 from skinplan.inspection.closest import SurfaceIndex
-from skinplan.inspection.points import checked_points, evenly
+from skinplan.inspection.points import evenly
 from skinplan.localization.camera import in_view
 from skinplan.localization.model import CameraModel
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.recognition.align import AlignSettings, align
+from skinplan.recognition.identify import checked_question
 from skinplan.scanner.model import SurfaceSamples
 from skinplan.scanner.rays import RayCaster
 from skinplan.scanner.samples import sample_surface
@@ -130,16 +131,7 @@ def fit_view(
         InputError: No candidates, or values that can't be used.
     """
     settings = settings or ViewSettings()
-    if not candidates:
-        raise InputError(
-            "a part was to be identified; at least one candidate is accepted, found none"
-        )
-    cloud = checked_points(points)
-    if len(cloud) < _FEWEST:
-        raise NoCloudError(
-            f"a part was to be identified by a depth image; at least {_FEWEST} points are "
-            f"accepted, found {len(cloud)}"
-        )
+    cloud = checked_question(points, candidates)
     judges = {
         name: _Judge(cloud, camera, candidate, settings) for name, candidate in candidates.items()
     }
