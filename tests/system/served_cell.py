@@ -191,12 +191,16 @@ class ServedCell:
         self.run.node(node).send_signal(signal.SIGKILL)
 
     def end(self) -> None:
-        """Ends the graph in order, whatever state it is in."""
+        """Ends the graph in order, whatever state it is in.
+
+        The watch first: a process that has to be killed may leave DDS's shared memory locked, and
+        who is still there then hangs.
+        """
         try:
+            self.watch.bench.close()
             if self.run.process.poll() is None:
                 self.run.process.send_signal(signal.SIGINT)
                 self.run.wait(90.0)
                 self.run.wait_gone()
         finally:
             self.run.close()
-            self.watch.bench.close()
