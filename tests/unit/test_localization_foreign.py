@@ -18,7 +18,14 @@ def rendered(seed, **values):
     return MockCamera(CELL.camera, FIXTURE, seed, **values).render(camera_pose(base_facing(*place)))
 
 
-@pytest.mark.parametrize("own", [[10, 12, 14, 16], [3], OWN])
+@pytest.mark.parametrize(
+    "own",
+    [
+        [10, 12, 14, 16],
+        pytest.param([3], marks=pytest.mark.long),
+        pytest.param(OWN, marks=pytest.mark.long),
+    ],
+)
 def test_own_and_foreign_ids_are_all_that_are_there(own):
     detector, foreign = MarkerDetector(FIXTURE.dictionary), 0
     for seed in range(8):
@@ -36,7 +43,14 @@ def test_own_and_foreign_ids_are_all_that_are_there(own):
     assert foreign > 0 or own == OWN
 
 
-@pytest.mark.parametrize("values", [{"noise": 6.0}, {"light": 0.3}, {"blur_px": 1.2}])
+@pytest.mark.parametrize(
+    "values",
+    [
+        {"noise": 6.0},
+        pytest.param({"light": 0.3}, marks=pytest.mark.long),
+        pytest.param({"blur_px": 1.2}, marks=pytest.mark.long),
+    ],
+)
 def test_in_bad_images(values):
     detector, named, there = MarkerDetector(FIXTURE.dictionary), 0, 0
     for seed in range(8):
