@@ -244,6 +244,7 @@ def test_a_base_that_moved_is_located_again(run: Callable[..., Run]) -> None:
     assert set(job.cell.seen) == set(range(6))
 
 
+@pytest.mark.long
 def test_a_base_that_stands_badly_drives_to_its_station_again(run: Callable[..., Run]) -> None:
     job = run().supervise()
     job.cell.stands_badly = 1
@@ -294,6 +295,7 @@ def test_a_node_that_is_another_process_interrupts_until_it_is_back(
     assert {0, 1, 2, 3, 4, 5} == set(job.cell.seen)
 
 
+@pytest.mark.long
 def test_a_bag_whose_begin_was_not_heard_of_is_gone_on_with(run: Callable[..., Run]) -> None:
     job = run()
     job.cell.recorder_s = 1.0

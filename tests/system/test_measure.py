@@ -209,6 +209,7 @@ def test_events_tell_the_way_of_the_job(run: GraphRun, folder: Path) -> None:
     assert shares[-1] == 1.0
 
 
+@pytest.mark.long
 def test_killed_node_ends_the_job_with_its_name(start: Callable[..., GraphRun]) -> None:
     run = start("--job-id", "job-2", "--restarts", "0")
     run.until_sub_state("localizing")

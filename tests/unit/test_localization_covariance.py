@@ -38,7 +38,13 @@ def normalised(located, wanted):
     return error @ np.linalg.solve(located.covariance, error)
 
 
-@pytest.mark.parametrize(("view", "only"), [((0.0, 1.0, 0.1), None), ((0.2, 0.9, 0.6), [14])])
+@pytest.mark.parametrize(
+    ("view", "only"),
+    [
+        pytest.param((0.0, 1.0, 0.1), None, marks=pytest.mark.long),
+        ((0.2, 0.9, 0.6), [14]),
+    ],
+)
 def test_a_thousand_draws_scatter_as_the_covariance_says(view, only):
     """In the arm base, for the bundle and for one marker: within the 95 % band of chi squared."""
     random = np.random.default_rng(12)
