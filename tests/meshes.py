@@ -6,6 +6,16 @@ from scipy.spatial.transform import Rotation
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.transforms import transform
 
+#: Panels of others, in ``shared/data/panels``.
+PANELS = (
+    "crm_fuselage_side_2.9x0.8.stl",
+    "crm_wing_upper_2.9x0.8.stl",
+    "d150_nose_rippled_1.8x0.8.stl",
+    "gom_b737_wing_manholes_2.6x0.8.stl",
+    "helibody_tailboom_2.2x0.6.stl",
+    "reach_hood_1.6x1.4.stl",
+)
+
 
 def grid(length, width, cell, height=None):
     """A height field `height(x, y)` over a rectangle about the origin, normals about +z."""

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshes import bump, grid, half_cylinder, joined, moved, random_transform, without
+from meshes import PANELS, bump, grid, half_cylinder, joined, moved, random_transform, without
 from skinplan.errors import NothingMissingError, PartInvalidError
 from skinplan.inspection.gaps import missing_samples
 from skinplan.mesh.check import check_mesh
@@ -68,17 +68,7 @@ def test_scenes_are_seen_three_times_with_few_points(name):
     require_clear(mesh, path)
 
 
-@pytest.mark.parametrize(
-    "panel",
-    [
-        "crm_fuselage_side_2.9x0.8.stl",
-        "crm_wing_upper_2.9x0.8.stl",
-        "d150_nose_rippled_1.8x0.8.stl",
-        "gom_b737_wing_manholes_2.6x0.8.stl",
-        "helibody_tailboom_2.2x0.6.stl",
-        "reach_hood_1.6x1.4.stl",
-    ],
-)
+@pytest.mark.parametrize("panel", PANELS)
 def test_panels_of_others_are_seen(shared_data, panel):
     mesh, _ = check_mesh(load_mesh(shared_data / "panels" / panel))
     segmentation, path = planned(mesh)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from meshes import bump, grid, half_cylinder, joined, moved, random_transform
+from meshes import PANELS, bump, grid, half_cylinder, joined, moved, random_transform
 from skinplan.errors import MeshRefusedError, PartInvalidError
 from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import load_mesh
@@ -36,14 +36,6 @@ WIPE = dataclasses.replace(
     footprint_m=0.1,
     overlap_ratio=0.2,
     field_margin_m=0.0,
-)
-PANELS = (
-    "crm_fuselage_side_2.9x0.8.stl",
-    "crm_wing_upper_2.9x0.8.stl",
-    "d150_nose_rippled_1.8x0.8.stl",
-    "gom_b737_wing_manholes_2.6x0.8.stl",
-    "helibody_tailboom_2.2x0.6.stl",
-    "reach_hood_1.6x1.4.stl",
 )
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshes import bump, grid
+from meshes import PANELS, bump, grid
 from skinplan.errors import (
     InputError,
     MeshNotFiniteError,
@@ -29,14 +29,6 @@ SCANNER = ScannerModel.from_settings(SETTINGS)
 POINTS = {"scene1": 322, "scene2": 142, "scene3": 427, "scene4": 447}
 # ... and the share of the features' area that row cutting alone sees.
 ROWS_ONLY = {"scene2": 0.863, "scene3": 0.837, "scene4": 0.714}
-PANELS = (
-    "crm_fuselage_side_2.9x0.8.stl",
-    "crm_wing_upper_2.9x0.8.stl",
-    "d150_nose_rippled_1.8x0.8.stl",
-    "gom_b737_wing_manholes_2.6x0.8.stl",
-    "helibody_tailboom_2.2x0.6.stl",
-    "reach_hood_1.6x1.4.stl",
-)
 
 
 def planned(mesh, settings=SETTINGS):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 
-from meshes import bump, grid, without
+from meshes import PANELS, bump, grid, without
 from skinplan.mesh.check import check_mesh
 from skinplan.mesh.load import load_mesh
 from skinplan.mesh.model import SurfaceMesh
@@ -23,14 +23,6 @@ SETTINGS = dataclasses.replace(ScanSettings(), strategy="published")
 TOLERANCE_M = 0.0002
 # Rows begin and end this far from the edge of the part.
 FROM_EDGE_M = 0.010
-PANELS = (
-    "crm_fuselage_side_2.9x0.8.stl",
-    "crm_wing_upper_2.9x0.8.stl",
-    "d150_nose_rippled_1.8x0.8.stl",
-    "gom_b737_wing_manholes_2.6x0.8.stl",
-    "helibody_tailboom_2.2x0.6.stl",
-    "reach_hood_1.6x1.4.stl",
-)
 
 
 def planned(mesh):

@@ -61,14 +61,21 @@ def given_frame(base: Array, direction: tuple[float, float, float]) -> RowFrame:
         PartInvalidError: The direction is perpendicular to the part.
     """
     wanted = np.asarray(direction, dtype=float)
-    flat = wanted - (wanted @ base) * base
-    length = float(np.linalg.norm(flat))
-    if not np.isfinite(length) or length < 0.1 * np.linalg.norm(wanted):
+    if is_across(base, direction):
         raise PartInvalidError(
             f"scan.row_direction {list(direction)} is perpendicular to the part; a direction "
             "along its surface is accepted"
         )
-    return RowFrame(flat / length, np.cross(base, flat / length), base)
+    flat = wanted - (wanted @ base) * base
+    along = flat / float(np.linalg.norm(flat))
+    return RowFrame(along, np.cross(base, along), base)
+
+
+def is_across(base: Array, direction: tuple[float, float, float]) -> bool:
+    """Tells whether a row direction is perpendicular to a surface of this mean normal, (3,)."""
+    wanted = np.asarray(direction, dtype=float)
+    length = float(np.linalg.norm(wanted - (wanted @ base) * base))
+    return not np.isfinite(length) or length < 0.1 * float(np.linalg.norm(wanted))
 
 
 def candidate_frames(

@@ -7,8 +7,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from skinplan.errors import MeshRefusedError, PartInvalidError
-from skinplan.scan_path.frame import RowFrame, candidate_frames, given_frame
+from skinplan.errors import MeshRefusedError
+from skinplan.scan_path.frame import RowFrame, candidate_frames, given_frame, is_across
 from skinplan.scan_path.partition import mean_normal
 from skinplan.scan_path.patch_rows import PatchRows, RowRule, lay_rows
 from skinplan.scan_path.view_choice import joined
@@ -142,11 +142,9 @@ class RowMerger:
     def _frames(
         self, samples: SurfaceSamples, base: Array, further: tuple[Array, ...]
     ) -> list[RowFrame]:
-        if self._direction is not None:
-            try:
-                return [given_frame(base, self._direction)]
-            except PartInvalidError:
-                pass  # a wall across the rows asked for has a direction of its own
+        if self._direction is not None and not is_across(base, self._direction):
+            return [given_frame(base, self._direction)]
+        # A wall across the rows that are asked for has a direction of its own.
         try:
             frames = list(candidate_frames(samples.points, base, samples.weights))
         except MeshRefusedError:
