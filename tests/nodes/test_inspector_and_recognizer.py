@@ -221,6 +221,7 @@ def test_hidden_frames_are_counted(bench: Bench, part: Part) -> None:
     for seen in (True, False, False):
         scan.visible.publish(Bool(data=seen))
     bench.wait(lambda: coverage[-1].frames_hidden == 2, turning=True)
+    assert max(state.frames_hidden for state in coverage) == 2 and coverage[-1].frames == 0
 
 
 def test_frames_of_another_frame_are_left_out(bench: Bench, part: Part) -> None:

@@ -238,6 +238,8 @@ def test_player_stop_ends_it(bench: Bench, bag: Path) -> None:
 def test_player_loops(bench: Bench, bag: Path) -> None:
     _, said, _ = play(bench, bag, loop=True, rate=100.0)
     bench.wait(lambda: [m.data for m in said].count("20") >= 2)
+    texts = [m.data for m in said]
+    assert texts.index("20") < texts.index("0", 1), "from the begin again, after the end"
 
 
 @pytest.mark.parametrize("value", [0.0, -1.0, float("nan"), float("inf")])

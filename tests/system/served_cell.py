@@ -97,10 +97,14 @@ class Watch:
         answer = self.bench.call(InjectFault, f"{node}/inject_fault", request)
         assert answer.status.code == Status.OK, answer.status.message
 
-    def command(self, job_id: str, command: int) -> None:
-        """Gives a command to a job."""
+    def command(self, job_id: str, command: int) -> bool:
+        """Gives a command to a job; False = nobody answers: the supervisor is being started."""
         request = JobCommand.Request(job_id=job_id, command=command)
-        self.bench.call(JobCommand, "jobs/command", request)
+        try:
+            self.bench.call(JobCommand, "jobs/command", request)
+        except AssertionError:
+            return False
+        return True
 
     def is_over(self, job_id: str) -> bool:
         """Whether the job has come to its end."""

@@ -116,6 +116,7 @@ def test_another_program_pauses_and_resumes(mes_answer: str) -> None:
 
 def test_run_leaves_no_process(run: GraphRun, folder: Path) -> None:
     run.wait_gone()
+    assert run.processes() == []
 
 
 def test_summary_has_all_keys(summary: dict[str, Any]) -> None:
