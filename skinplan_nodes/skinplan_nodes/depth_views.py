@@ -103,9 +103,9 @@ class DepthViews:
             if time.monotonic() > deadline:
                 raise RefusedError(
                     Status.NO_IMAGE,
-                    f"{count} depth images on camera/depth/color/points and their camera_info were "
-                    f"waited for, {found} {'and one' if informed else 'but none'} came within "
-                    f"{timeout_s:g} s",
+                    f"{count} depth images on camera/depth/color/points and a "
+                    f"camera/color/camera_info were waited for; {found} images and "
+                    f"{'one' if informed else 'no'} camera_info came within {timeout_s:g} s",
                 )
             time.sleep(_POLL_S)
 

@@ -181,6 +181,12 @@ class PartRecognizer(CellNode):
                 "source CAMERA was given without part_pose; where the part was located is needed",
             )
         located = part_pose_from_msg(request.part_pose)
+        if self._frames.moved_s > located.stamp_s:
+            raise RefusedError(
+                Status.STALE_IMAGE,
+                f"part_pose is of {located.stamp_s:.3f} s, and the base has moved at "
+                f"{self._frames.moved_s:.3f} s; one from after its last motion is accepted",
+            )
         values = self.values
         candidates = self._candidates(request)
         seen = self._depth.take(values.depth_images, located.stamp_s, values.camera_timeout_s)
@@ -188,28 +194,29 @@ class PartRecognizer(CellNode):
         T_camera_workpiece = inverse(T_arm_base_camera) @ located.T_arm_base_workpiece
         # The fixture holds each of them in its own way.
         first = candidates[0][0].fixture.T_workpiece_fixture
+        ids = [part.id for part, _ in candidates]
+        names = [f"{k} ({n})" if ids.count(k) > 1 else k for n, k in enumerate(ids)]
         placed = {
-            f"{part.id} ({number})": Candidate(
+            name: Candidate(
                 mesh, T_camera_workpiece @ first @ inverse(part.fixture.T_workpiece_fixture)
             )
-            for number, (part, mesh) in enumerate(candidates)
+            for name, (part, mesh) in zip(names, candidates, strict=True)
         }
         fits = fit_view(seen.points, seen.camera, placed, _view_settings(values))
-        named = dict(zip((part.id for part, _ in candidates), fits.values(), strict=False))
         response.residuals = [fit.residual_m for fit in fits.values()]
         response.seen_ratios = [fit.seen_ratio for fit in fits.values()]
         response.fits = [fit.fits for fit in fits.values()]
         if not any(fit.is_judged for fit in fits.values()):
-            raise RefusedError(Status.PART_NOT_SEEN, describe(named))
+            raise RefusedError(Status.PART_NOT_SEEN, describe(fits))
         good = np.flatnonzero(response.fits)
         response.index = int(good[0]) if len(good) == 1 else -1
         if response.index < 0:
-            return Status(code=Status.UNKNOWN_PART, message=describe(named))
+            return Status(code=Status.UNKNOWN_PART, message=describe(fits))
         found = list(fits.values())[response.index].T_camera_workpiece
         assert found is not None
         pose = T_arm_base_camera @ found
         response.pose = pose_stamped_to_msg(pose, "arm_base", seen.stamp_s)
-        return Status(code=Status.OK, message=describe(named))
+        return Status(code=Status.OK, message=describe(fits))
 
     def _candidates(self, request: IdentifyPart.Request) -> list[tuple[Part, SurfaceMesh]]:
         found = []

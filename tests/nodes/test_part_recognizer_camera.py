@@ -18,7 +18,12 @@ from skinplan.part.files import load_part, save_part
 from skinplan.part.model import Part
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import Array, inverse, transform
-from skinplan_nodes.conversions import LocatedPart, part_pose_to_msg, pose_stamped_to_msg
+from skinplan_nodes.conversions import (
+    LocatedPart,
+    part_pose_to_msg,
+    pose_stamped_to_msg,
+    transform_stamped_to_msg,
+)
 from skinplan_nodes.mock_camera import DEPTH, MockCamera
 from skinplan_nodes.mock_mir100 import static_transforms
 from skinplan_nodes.part_recognizer import PartRecognizer
@@ -54,7 +59,8 @@ class Cell:
         place = create(PoseStamped, "truth/workpiece_pose", LATCHED)
         frames = create(TFMessage, "tf_static", STATIC_TF)
         bench.start(MockCamera, part_uri=str(stands.source), rate_hz=10.0)
-        bench.start(PartRecognizer, camera_timeout_s=5.0)
+        self.recognizer = bench.start(PartRecognizer, camera_timeout_s=5.0)
+        self.moving = create(TFMessage, "tf", STATE)
         frames.publish(TFMessage(transforms=static_transforms(CELL)))
         bench.wait(lambda: base.get_subscription_count() and place.get_subscription_count())
         place.publish(pose_stamped_to_msg(stands.T_map_workpiece, "map"))
@@ -76,6 +82,16 @@ class Cell:
             request.part_pose = part_pose_to_msg(located)
         self.bench.turn_clock(self.bench.now_s + 0.5)
         return self.bench.call(IdentifyPart, "identify_part", request, turning=True)
+
+    def ask_after_a_drive(self, part: Part) -> Any:
+        """Asks with a pose from before the base has moved."""
+        for x_m, stamp_s in ((0.0, 5.0), (0.1, 6.0)):
+            edge = transform_stamped_to_msg(
+                "odom", "base_link", transform((x_m, 0.0, 0.0)), stamp_s
+            )
+            self.moving.publish(TFMessage(transforms=[edge]))
+        self.bench.wait(lambda: self.recognizer._frames.moved_s == 6.0)
+        return self.ask_here(part)
 
     def ask_here(self, *candidates: Part) -> Any:
         """Asks, and says where the part stands."""
@@ -110,9 +126,16 @@ def test_questions_that_can_not_be_answered_are_named(bench: Bench, parts: dict[
     unknown = cell.ask(parts["rib"], source=7)
     assert unknown.status.code == Status.REQUEST_INVALID
     assert "source 7 was given; 0 (SCANNED) and 1 (CAMERA)" in unknown.status.message
+    unreal = np.eye(4)
+    unreal[0, 3] = np.nan
+    nowhere = cell.ask(parts["rib"], pose=unreal)
+    assert nowhere.status.code == Status.PART_INVALID and nowhere.index == -1
     aside = cell.ask(parts["rib"], pose=transform((5.0, 0.0, 0.0)) @ cell.T_arm_base_workpiece)
     assert aside.status.code == Status.PART_NOT_SEEN
     assert "can be seen from here" in aside.status.message
+    stale = cell.ask_after_a_drive(parts["rib"])
+    assert stale.status.code == Status.STALE_IMAGE
+    assert "one from after its last motion is accepted" in stale.status.message
 
 
 def test_without_depth_images_the_camera_is_missed(bench: Bench, parts: dict[str, Part]) -> None:
@@ -123,7 +146,7 @@ def test_without_depth_images_the_camera_is_missed(bench: Bench, parts: dict[str
     )
     answer = bench.call(IdentifyPart, "identify_part", request)
     assert answer.status.code == Status.NO_IMAGE
-    assert "0 but none came within 0.3 s" in answer.status.message
+    assert "0 images and no camera_info came within 0.3 s" in answer.status.message
 
 
 def test_depth_is_made_only_while_somebody_looks(bench: Bench, parts: dict[str, Part]) -> None:
