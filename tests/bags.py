@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import pytest
 import yaml
 import zstandard
+from mcap.reader import make_reader
 
 QOS = {
     "history": 1,
@@ -105,3 +107,25 @@ def write_metadata(
         found["ros_distro"] = "jazzy"
     text = yaml.safe_dump({"rosbag2_bagfile_information": found})
     (folder / "metadata.yaml").write_text(text, encoding="utf-8")
+
+
+def texts_of_rosbags(folder: Path) -> list[str]:
+    """The texts of all messages of a bag of strings, decoded by rosbags."""
+    rosbag2 = pytest.importorskip("rosbags.rosbag2")
+    typesys = pytest.importorskip("rosbags.typesys")
+    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
+    with rosbag2.Reader(folder) as reader:
+        return [store.deserialize_cdr(data, c.msgtype).data for c, _, data in reader.messages()]
+
+
+def texts_of_mcap(folder: Path) -> list[str]:
+    """The same by mcap and mcap-ros2-support, CRCs checked."""
+    decoder = pytest.importorskip("mcap_ros2.decoder")
+    found = []
+    for file in sorted(folder.glob("*.mcap")):
+        with file.open("rb") as stream:
+            reader = make_reader(
+                stream, validate_crcs=True, decoder_factories=[decoder.DecoderFactory()]
+            )
+            found += [m.decoded_message.data for m in reader.iter_decoded_messages()]
+    return found

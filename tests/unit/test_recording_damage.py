@@ -203,3 +203,29 @@ def test_damage_of_every_kind(tmp_path: Path, seed: int) -> None:
 @pytest.mark.long
 def test_five_thousand_damaged_files(tmp_path: Path) -> None:
     check_damaged(tmp_path, seed=2, count=5000)
+
+
+def test_a_chunk_whose_compressed_frame_has_no_end_keeps_its_messages(tmp_path: Path) -> None:
+    file = ours(tmp_path / "bag", "lz4")
+    truth, content = messages(file), bytearray(file.read_bytes())
+    place = next(chunk_places(bytes(content)))
+    (length,) = struct.unpack_from("<Q", content, place + 1)
+    end_mark = place + 9 + length - 4
+    assert content[end_mark : end_mark + 4] == bytes(4)
+    content[end_mark] = 5
+    file.write_bytes(bytes(content))
+    heal_bag(tmp_path / "bag", thorough=True)
+    assert sorted(messages(file)) == sorted(truth)
+    assert by_mcap(file) == messages(file)
+
+
+def test_a_chunk_that_damage_turned_into_a_message_is_not_believed(tmp_path: Path) -> None:
+    file = ours(tmp_path / "bag", "none")
+    truth, content = messages(file), bytearray(file.read_bytes())
+    place = list(chunk_places(bytes(content)))[2]
+    content[place] = 5  # a message; its channel stands where the chunk has its first time
+    channel = content.index(b"/a", 8) - 8
+    content[place + 9 : place + 11] = content[channel : channel + 2]
+    file.write_bytes(bytes(content))
+    heal_bag(tmp_path / "bag", thorough=True)
+    assert set(messages(file)) < set(truth)

@@ -13,8 +13,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
-from mcap.reader import make_reader
 
+from bags import texts_of_mcap, texts_of_rosbags
 from skinplan.errors import BagInvalidError, BagNotFoundError, BagNotWritableError
 from skinplan.recording.bag import BagSettings, BagWriter
 from skinplan.recording.heal import heal_bag, is_finished
@@ -34,26 +34,6 @@ def string(text: str) -> bytes:
 def texts(folder: Path) -> list[str]:
     """The texts of all messages, read by our reader."""
     return [m.data[8:-1].decode() for m in read_messages(open_bag(folder))]
-
-
-def texts_of_rosbags(folder: Path) -> list[str]:
-    rosbag2 = pytest.importorskip("rosbags.rosbag2")
-    typesys = pytest.importorskip("rosbags.typesys")
-    store = typesys.get_typestore(typesys.Stores.ROS2_JAZZY)
-    with rosbag2.Reader(folder) as reader:
-        return [store.deserialize_cdr(data, c.msgtype).data for c, _, data in reader.messages()]
-
-
-def texts_of_mcap(folder: Path) -> list[str]:
-    decoder = pytest.importorskip("mcap_ros2.decoder")
-    found = []
-    for file in sorted(folder.glob("*.mcap")):
-        with file.open("rb") as stream:
-            reader = make_reader(
-                stream, validate_crcs=True, decoder_factories=[decoder.DecoderFactory()]
-            )
-            found += [m.decoded_message.data for m in reader.iter_decoded_messages()]
-    return found
 
 
 def write_bag(folder: Path, count: int = 60, chunk_bytes: int = 700, **settings: object) -> Path:

@@ -99,6 +99,8 @@ class Salvage:
         # A file that was closed: what is missing at its end was damaged, not cut off.
         end = max(len(MAGIC), source.size - len(MAGIC))
         self._closed = source.read(end, len(MAGIC)) == MAGIC
+        # Writers put messages into chunks or beside none; only chunks have a CRC.
+        self._chunked = any(found.opcode == Opcode.CHUNK for found in walk(source))
         self.result = Salvaged()
 
     def run(self) -> Salvaged:
@@ -111,7 +113,7 @@ class Salvage:
             self._take(found)
         # Chunks whose channels were described only behind them, as in an index.
         for found in self._waiting:
-            if found.opcode == Opcode.CHUNK and not found.cut and self._copy_chunk(found):
+            if found.opcode == Opcode.CHUNK and self._copy_chunk(found):
                 continue
             self._rescue(found)
         self._seal()
@@ -122,11 +124,11 @@ class Salvage:
 
     def _take(self, found: Found) -> None:
         if found.opcode == Opcode.CHUNK:
-            if found.cut or not self._copy_chunk(found):
+            if not self._copy_chunk(found):
                 self._waiting.append(found)
-        elif found.opcode == Opcode.MESSAGE and not found.cut:
+        elif found.opcode == Opcode.MESSAGE and not found.cut and not self._chunked:
             self._add_loose(body(self._source, found), found)
-        elif found.opcode == 0 or found.cut:
+        elif found.opcode in (0, Opcode.MESSAGE) or found.cut:
             if found.opcode not in _REBUILT:
                 self.result.bytes_lost += found.size
             if self._closed or (not found.cut and found.place + found.size < self._source.size):
@@ -155,7 +157,9 @@ class Salvage:
                 self._output.add_metadata(record.name, record.metadata)
 
     def _copy_chunk(self, found: Found) -> bool:
-        """Copies a chunk as it is; False when a message of it has no channel yet."""
+        """Copies a chunk as it is; False = its messages are to be taken one by one, or later."""
+        if found.cut or found.unfinished:
+            return False
         head = read_chunk_head(self._source, found.place)
         if head is None:
             return False

@@ -137,7 +137,8 @@ class Found:
         size: Its size [B].
         opcode: Of an intact record; 0 = damage; of a record that the end of the file cuts off.
         cut: The end of the file cuts it off.
-        mended: A chunk whose head is damaged, but whose CRC proves its records.
+        mended: A damaged chunk whose CRC proves its records.
+        unfinished: One of these that can't be copied: its compressed frame has no end.
     """
 
     place: int
@@ -145,6 +146,7 @@ class Found:
     opcode: int
     cut: bool = False
     mended: bool = False
+    unfinished: bool = False
 
 
 def chunk_head(source: Source, place: int) -> ChunkHead | None:
@@ -169,15 +171,21 @@ def chunk_head(source: Source, place: int) -> ChunkHead | None:
     return ChunkHead(start, end, raw, crc, name.decode(), place + at, stored)
 
 
+class UnfinishedFrameError(ValueError):
+    """All records of a chunk are there, but the mark that ends its compressed frame is not."""
+
+
 def raw_records(source: Source, head: ChunkHead) -> Iterator[bytes]:
     """Iterates over the uncompressed records of a chunk in pieces.
 
     Raises:
+        UnfinishedFrameError: All are there, but most readers will refuse the chunk.
         ValueError: They are not what the head says, or damaged.
     """
     total, crc, available = 0, 0, min(head.stored_bytes, source.size - head.place)
+    ended = _Ended()
     try:
-        for piece in _decoded(head, source.blocks(head.place, available)):
+        for piece in _decoded(head, source.blocks(head.place, available), ended):
             total += len(piece)
             if total > head.raw_bytes:
                 raise ValueError("more records than the chunk says")
@@ -187,9 +195,16 @@ def raw_records(source: Source, head: ChunkHead) -> Iterator[bytes]:
         raise ValueError(str(error)) from error
     if total != head.raw_bytes or (head.crc and crc != head.crc):
         raise ValueError("the records are not those of the chunk's CRC")
+    if not ended.well:
+        raise UnfinishedFrameError("the compressed frame has no end")
 
 
-def _decoded(head: ChunkHead, blocks: Iterator[bytes]) -> Iterator[bytes]:
+@dataclass
+class _Ended:
+    well: bool = True
+
+
+def _decoded(head: ChunkHead, blocks: Iterator[bytes], ended: _Ended) -> Iterator[bytes]:
     if head.compression == "":
         yield from blocks
     elif head.compression == "lz4":
@@ -199,6 +214,7 @@ def _decoded(head: ChunkHead, blocks: Iterator[bytes]) -> Iterator[bytes]:
             while not frame.eof and (data or not frame.needs_input):
                 yield frame.decompress(data, BLOCK_BYTES)
                 data = b""
+        ended.well = frame.eof
     else:
         stream = zstandard.ZstdDecompressor(max_window_size=2**27).stream_reader(
             cast(BinaryIO, _Reader(blocks)), read_across_frames=False
@@ -227,10 +243,10 @@ def walk(source: Source) -> Iterator[Found]:
             yield Found(place, size, source.read(place, 1)[0])
             place += size
             continue
-        size = _proven_chunk(source, place)
-        if size is not None:
-            yield Found(place, size, int(Opcode.CHUNK), mended=True)
-            place += size
+        proven = _proven_chunk(source, place)
+        if proven is not None:
+            yield proven
+            place += proven.size
             continue
         following = _next_chunk(source, place + 1)
         cut = following is None and _is_cut(source, place)
@@ -273,17 +289,21 @@ def _checked(source: Source, place: int, opcode: int, length: int) -> bool:
     return bool(stream.count == length)
 
 
-def _proven_chunk(source: Source, place: int) -> int | None:
-    """Returns the size of a chunk whose head is damaged, but whose records are as its CRC says."""
+def _proven_chunk(source: Source, place: int) -> Found | None:
+    """Returns a chunk that is damaged, but whose records are as its CRC says."""
     head = chunk_head(source, place)
     if head is None or head.crc == 0 or head.place + head.stored_bytes > source.size:
         return None
+    unfinished = False
     try:
         for _ in raw_records(source, head):
             pass
+    except UnfinishedFrameError:
+        unfinished = True
     except ValueError:
         return None
-    return head.place + head.stored_bytes - place
+    size = head.place + head.stored_bytes - place
+    return Found(place, size, int(Opcode.CHUNK), mended=True, unfinished=unfinished)
 
 
 def _is_cut(source: Source, place: int) -> bool:
