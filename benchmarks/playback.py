@@ -1,18 +1,14 @@
 """Reading and playing a bag of 2 GB, beside rosbags and mcap-ros2-support, in the same run.
 
-    .venv/bin/python benchmarks/playback.py [--gigabytes 2] [--folder FOLDER] [--play]
+    .venv/bin/python benchmarks/playback.py [--gigabytes 2] [--folder FOLDER]
 
 The bag is written to a temporary folder and deleted. Peers are asked for the bytes of every
-message, as we are; their decoding is switched off. ``--play`` also plays the bag with the node and
-counts what a subscriber of another process gets.
+message, as we are; their decoding is switched off. What the node makes of it: player_node.py.
 """
 
 import argparse
-import json
 import os
 import shutil
-import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -126,61 +122,12 @@ def opened(folder: Path) -> int:
         return reader.info.messages
 
 
-LISTENER = """
-import json, os, sys, threading, time
-import rclpy
-from rclpy.experimental import EventsExecutor
-from rclpy.qos import QoSProfile
-from std_msgs.msg import String
-rclpy.init()
-node = rclpy.create_node("listener")
-found = {"messages": 0, "bytes": 0, "first": 0.0, "last": 0.0}
-def take(raw):
-    now = time.monotonic()
-    found["first"] = found["first"] or now
-    found["last"] = now
-    found["messages"] += 1
-    found["bytes"] += len(raw)
-qos = QoSProfile(depth=200)
-for topic in ("/image", "/joints"):
-    node.create_subscription(String, topic, take, qos, raw=True)
-executor = EventsExecutor()
-executor.add_node(node)
-began = time.monotonic()
-print("ready", flush=True)
-def watch():
-    while time.monotonic() - (found["last"] or began + 60.0) < 5.0:
-        time.sleep(0.05)
-    print(json.dumps(found), flush=True)
-    os._exit(0)
-threading.Thread(target=watch).start()
-executor.spin()
-"""
-
-
-def play(folder: Path) -> dict[str, float]:
-    """Plays a bag as fast as it goes to a subscriber of another process."""
-    listener = subprocess.Popen([sys.executable, "-c", LISTENER], stdout=subprocess.PIPE, text=True)
-    assert listener.stdout is not None
-    listener.stdout.readline()
-    command = [sys.executable, "-m", "skinplan_nodes.bag_player", "--ros-args"]
-    for name, value in {"bag": folder, "rate": 1000.0, "start_delay_s": 2.0}.items():
-        command += ["-p", f"{name}:={value}"]
-    begin = time.perf_counter()
-    subprocess.run(command, check=True, timeout=300)
-    spent = time.perf_counter() - begin
-    found: dict[str, float] = json.loads(listener.stdout.readline())
-    listener.wait()
-    return {**found, "player_s": spent}
-
-
 def main() -> None:
     """Runs everything."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--gigabytes", type=float, default=2.0)
     parser.add_argument("--compression", default="zstd", choices=("zstd", "lz4", "none"))
     parser.add_argument("--folder", type=Path, default=None)
-    parser.add_argument("--play", action="store_true")
     given = parser.parse_args()
     folder = Path(tempfile.mkdtemp(prefix="skinplan-playback-", dir=given.folder))
     try:
@@ -201,14 +148,6 @@ def main() -> None:
             ("mcap", peer_seeks(bag, "mcap")),
         ):
             print(f"seek, {name:9}: median {np.median(places):.4f} s, longest {max(places):.4f} s")
-        if given.play:
-            found = play(bag)
-            span = found["last"] - found["first"]
-            rate = found["bytes"] / span / 1e6 if span else float("nan")
-            print(
-                f"play: {found['messages']:.0f} messages, {found['bytes'] / 1e9:.2f} GB heard in "
-                f"{span:.1f} s, {rate:.0f} MB/s; program {found['player_s']:.1f} s"
-            )
     finally:
         shutil.rmtree(folder)
 

@@ -20,7 +20,7 @@ from skinplan.recording.reader import BagReader
 LISTENER = """
 import hashlib, json, os, sys, threading, time
 import rclpy
-from rclpy.experimental import EventsExecutor
+from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from skinplan_nodes.message_types import message_class
 rclpy.init()
@@ -34,7 +34,7 @@ for topic, kind in json.loads(sys.argv[1]).items():
     name = topic if topic.startswith("/") else "/" + topic
     qos = QoSProfile(depth=5000)
     node.create_subscription(message_class(kind), name, taker(topic), qos, raw=True)
-executor = EventsExecutor()
+executor = SingleThreadedExecutor()
 executor.add_node(node)
 print("ready", flush=True)
 quiet_s, began = float(sys.argv[2]), time.monotonic()
@@ -68,6 +68,9 @@ def measure(bag: Path) -> None:
             (m.topic, hashlib.sha256(m.data).hexdigest(), m.log_time_ns)
             for m in reader.messages(kinds)
         ]
+    if not recorded:
+        print(f"{bag.name}: nothing in it can be published")
+        return
     longest = max((np.diff([r[2] for r in recorded]).max(initial=0)) * 1e-9 + 3.0, 4.0)
     listener = subprocess.Popen(
         [sys.executable, "-c", LISTENER, json.dumps(kinds), str(longest)],
@@ -79,9 +82,12 @@ def measure(bag: Path) -> None:
     command = [sys.executable, "-m", "skinplan_nodes.bag_player", "--ros-args"]
     for name, value in {"bag": bag, "start_delay_s": 4.0, "clock_rate_hz": 0.0}.items():
         command += ["-p", f"{name}:={value}"]
-    subprocess.run(command, check=True, timeout=600, stderr=subprocess.DEVNULL)
-    heard = json.loads(listener.stdout.readline())
-    listener.wait()
+    try:
+        subprocess.run(command, check=True, timeout=600, stderr=subprocess.DEVNULL)
+        heard = json.loads(listener.stdout.readline())
+    finally:
+        listener.kill()
+        listener.wait()
     same = [item[:2] for item in map(tuple, heard)] == [item[:2] for item in recorded]
     known = {item[:2] for item in recorded}
     heard = [item for item in heard if tuple(item[:2]) in known]

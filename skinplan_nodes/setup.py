@@ -25,7 +25,7 @@ NODES = (
 )
 
 #: Endings of the data files that lie beside the modules.
-DATA_KINDS = ("css", "html", "j2", "json", "srdf", "stl", "urdf", "yaml")
+DATA_KINDS = ("css", "html", "j2", "json", "srdf", "stl", "urdf", "xml", "yaml")
 
 setup(
     name=NAME,

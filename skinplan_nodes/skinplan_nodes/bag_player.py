@@ -31,7 +31,8 @@ from skinplan_nodes.replies import replies, replies_in_thread
 from skinplan_nodes.run import run_node
 
 _CLOCK = "/clock"
-_LAST_WORDS_S = 2.0
+# Fast DDS asks for the last messages every 3 s.
+_LAST_WORDS_S = 3.5
 _FOREVER_S = 1e9
 # Decompression in one thread holds up the messages of the other by so much at most [s].
 _SWITCH_S = 0.0005
@@ -41,6 +42,7 @@ class BagPlayer(CellNode):
     """Publishes a bag's messages as they were recorded."""
 
     NAME = "bag_player"
+    LARGE_MESSAGES = True
     PARAMETERS = (
         Parameter("bag", "", "Absolute path of a bag folder or a storage file (.mcap, .db3)."),
         Parameter("rate", 1.0, "Times faster than recorded [1].", 0.001, 1000.0),

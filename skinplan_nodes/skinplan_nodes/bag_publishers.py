@@ -23,6 +23,9 @@ _MATCH_S = 0.3
 _POLL_S = 0.002
 # A subscriber that hangs must not hold up the others for longer.
 _PATIENCE_S = 0.5
+# Fast DDS asks what has arrived when its queue is full and after some bytes, else only every 3 s:
+# with half a queue of small messages each answer would take a second.
+_IN_FLIGHT_BYTES = 16_000_000
 _TF_STATIC = "tf2_msgs/msg/TFMessage"
 
 Overrides = Mapping[str, Callable[[RecordedQos], RecordedQos]]
@@ -37,6 +40,7 @@ class _Topic:
     depth: int
     sent: int = 0
     unacked: int = 0
+    unacked_bytes: int = 0
 
 
 class BagPublishers:
@@ -82,9 +86,11 @@ class BagPublishers:
         topic.publisher.publish(message.data)
         topic.sent += 1
         topic.unacked += 1
-        if patient and topic.unacked >= topic.qos.depth // 2:
+        topic.unacked_bytes += len(message.data)
+        full = topic.unacked >= topic.qos.depth or topic.unacked_bytes >= _IN_FLIGHT_BYTES
+        if patient and full:
             topic.publisher.wait_for_all_acked(Duration(seconds=_PATIENCE_S))
-            topic.unacked = 0
+            topic.unacked = topic.unacked_bytes = 0
 
     def restore(self, state: Mapping[str, list[BagMessage]]) -> None:
         """Brings the latched topics to a state: for those who listen and for those who come later.

@@ -52,6 +52,7 @@ class MockCamera(CellLifecycleNode):
 
     NAME = "mock_camera"
     THREADS = 1
+    LARGE_MESSAGES = True
     PARAMETERS = (
         *SHOP,
         Parameter("rate_hz", 1.0, "Images per second of simulated time [Hz].", 0.1, 30.0),

@@ -62,6 +62,7 @@ class MockCtrack(CellNode):
 
     NAME = "mock_ctrack"
     THREADS = 1
+    LARGE_MESSAGES = True
     PARAMETERS = (
         *SHOP,
         Parameter(

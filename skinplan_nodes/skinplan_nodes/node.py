@@ -38,6 +38,7 @@ class CellNodeMixin:
         NAME: Name of the node.
         PARAMETERS: Its parameters.
         THREADS: Threads of its executor; each message costs more than twice as much with several.
+        LARGE_MESSAGES: It publishes or takes megabytes: its program gets more shared memory.
         values: The parameters' values by name.
         asked_to_end: Set at a signal, and by a node that wants to end by itself.
         exit_code: Of the program, when it ends without an error.
@@ -46,6 +47,7 @@ class CellNodeMixin:
     NAME: ClassVar[str]
     PARAMETERS: ClassVar[Sequence[Parameter]] = ()
     THREADS: ClassVar[int] = 1
+    LARGE_MESSAGES: ClassVar[bool] = False
 
     values: SimpleNamespace
     asked_to_end: threading.Event

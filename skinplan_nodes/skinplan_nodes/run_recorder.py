@@ -38,6 +38,7 @@ class RunRecorder(CellLifecycleNode):
     NAME = "run_recorder"
     # Many small messages: one thread is faster than several that wait for each other.
     THREADS = 1
+    LARGE_MESSAGES = True
     PARAMETERS = (
         AUTOSTART,
         Parameter("discovery_period_s", 0.25, "Search for new topics, wall time [s].", 0.05, 10.0),

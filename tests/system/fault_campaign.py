@@ -2,6 +2,9 @@
 
 ``PYTHONPATH=tests .venv/bin/python -m system.fault_campaign --out table.md`` runs every fault at
 every state with three seeds, which takes hours; ``--faults``, ``--states`` and ``--seeds`` choose.
+``full_disk`` needs a file system of its own, for instance
+
+    unshare -m sh -c 'mount -t tmpfs -o size=1G tmpfs /mnt && exec "$@"' sh python ... --disk /mnt
 """
 
 import argparse
@@ -23,7 +26,7 @@ from skinplan_msgs.msg import JobStatus
 from skinplan_msgs.srv import JobCommand
 
 from skinplan_nodes.graph import GraphSettings, describe
-from system.served_cell import ServedCell, Watch
+from system.served_cell import ServedCell
 
 STATES = (
     "starting",
@@ -54,7 +57,8 @@ INJECTED: dict[str, tuple[str, dict[str, str]]] = {
     "clock_jump": ("sim_clock", {"jump": "5.0"}),
 }
 KILLED = tuple(f"kill {node.name}" for node in describe(GraphSettings(Path("/runs"), "/part.yaml")))
-FAULTS = (*INJECTED, *KILLED)
+FULL_DISK = "full_disk"
+FAULTS = (*INJECTED, *KILLED, FULL_DISK)
 #: How long a fault lasts [s of wall time]; those of the operator last until somebody looks.
 LASTS_S = 3.0
 #: A run that is not over by then hangs.
@@ -134,6 +138,9 @@ def begin_fault(cell: ServedCell, fault: str) -> None:
     if fault.startswith("kill "):
         cell.kill(fault.removeprefix("kill "))
         return
+    if fault == FULL_DISK:
+        cell.fill_disk()
+        return
     node, values = INJECTED[fault]
     cell.watch.inject(node, fault.rpartition(".")[2], values)
 
@@ -146,7 +153,7 @@ def follow(cell: ServedCell, job_id: str, fault: str, began: float) -> None:
         time.sleep(0.05)
         waits = watch.waits(job_id)
         if not cleared and (waits or time.monotonic() - began > LASTS_S):
-            cleared = end_fault(watch, fault)
+            cleared = end_fault(cell, fault)
         if waits and cleared:
             time.sleep(LOOKS_S)
             if watch.waits(job_id):
@@ -154,10 +161,13 @@ def follow(cell: ServedCell, job_id: str, fault: str, began: float) -> None:
                 time.sleep(0.5)
 
 
-def end_fault(watch: Watch, fault: str) -> bool:
+def end_fault(cell: ServedCell, fault: str) -> bool:
     """Ends a fault; a node that does not answer any more has ended with its graph."""
+    if fault == FULL_DISK:
+        cell.free_disk()
+        return True
     try:
-        watch.inject(INJECTED[fault][0], "", {})
+        cell.watch.inject(INJECTED[fault][0], "", {})
     except AssertionError:
         return False
     return True
@@ -202,7 +212,9 @@ def messages_in(bags: Iterable[Path]) -> int:
     return count
 
 
-def run_cases(cases: Iterable[Case], seed: int, factor: str, name: str) -> Iterator[Row]:
+def run_cases(
+    cases: Iterable[Case], seed: int, factor: str, name: str, disk: Path | None = None
+) -> Iterator[Row]:
     """Runs jobs one after the other in one graph; a new graph after each that is not good.
 
     A graph goes on after an aborted job, so that the next job shows whether the cell is well.
@@ -211,7 +223,7 @@ def run_cases(cases: Iterable[Case], seed: int, factor: str, name: str) -> Itera
     number = 0
     while left:
         with tempfile.TemporaryDirectory(prefix=name) as folder:
-            cell = ServedCell(Path(folder), seed, factor, PATIENCE)
+            cell = ServedCell(Path(folder), seed, factor, PATIENCE, disk=disk)
             good = True
             try:
                 while left and good:
@@ -242,9 +254,12 @@ def main() -> None:
     parser.add_argument("--faults", nargs="*", default=list(FAULTS))
     parser.add_argument("--states", nargs="*", default=list(STATES))
     parser.add_argument("--seeds", nargs="*", type=int, default=[1, 2, 3])
+    parser.add_argument("--disk", type=Path, help="file system of its own, for full_disk")
     parser.add_argument("--time-factor", default=FACTOR)
     parser.add_argument("--out", type=Path, required=True)
     given = parser.parse_args()
+    if given.disk is None:
+        given.faults = [fault for fault in given.faults if fault != FULL_DISK]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     with given.out.open("a", encoding="utf-8") as table:
         table.write(HEAD + "\n")
@@ -252,7 +267,7 @@ def main() -> None:
             cases = [Case(f, s, seed) for f in given.faults for s in given.states]
             # Faults come in any order: each meets a cell that another one has left.
             random.Random(seed).shuffle(cases)
-            for found in run_cases(cases, seed, given.time_factor, "fault_campaign"):
+            for found in run_cases(cases, seed, given.time_factor, "fault_campaign", given.disk):
                 good = "" if found.is_good else " **bad**"
                 table.write(f"{found.cells()} {found.note}{good}\n")
                 table.flush()

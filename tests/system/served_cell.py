@@ -1,5 +1,7 @@
 """A served graph with somebody beside it, who orders jobs, sees what moves, and does harm."""
 
+import os
+import shutil
 import signal
 import time
 from collections import deque
@@ -144,6 +146,7 @@ class ServedCell:
         factor: How much faster than wall time.
         supervisor: Parameters of the supervisor that differ from the defaults.
         part: What stands in it; None = a very small panel.
+        disk: Where the runs go; a file system of its own, where it is to run full.
     """
 
     def __init__(
@@ -153,6 +156,7 @@ class ServedCell:
         factor: str,
         supervisor: dict[str, float],
         part: Part | None = None,
+        disk: Path | None = None,
     ) -> None:
         self.part = part or write_small_part(folder, 0.02, (0.3, 0.2))
         assert self.part.source is not None
@@ -162,7 +166,7 @@ class ServedCell:
         (config / "cell_supervisor.yaml").write_text(yaml.safe_dump(document))
         options = ["--serve", "--time-factor", factor, "--job-id", "cell", "--seed", str(seed)]
         options += ["--restarts", "20", "--config-folder", str(config)]
-        self.runs = folder / "runs"
+        self.runs = (disk or folder) / "runs"
         self.watch = Watch()
         self.run = GraphRun(self.runs, self.part.source, *options)
 
@@ -193,6 +197,17 @@ class ServedCell:
     def kill(self, node: str) -> None:
         """Ends a node's process as it dies in the field: without a word."""
         self.run.node(node).send_signal(signal.SIGKILL)
+
+    def fill_disk(self) -> None:
+        """Leaves the runs a megabyte; refused where others write on the same disk."""
+        disk = self.runs.parent
+        assert disk.is_mount(), f"{disk} is no file system of its own"
+        with (disk / "filler").open("wb") as file:
+            os.posix_fallocate(file.fileno(), 0, shutil.disk_usage(disk).free - 2**20)
+
+    def free_disk(self) -> None:
+        """Takes back what `fill_disk` did."""
+        (self.runs.parent / "filler").unlink(missing_ok=True)
 
     def end(self) -> None:
         """Ends the graph in order, whatever state it is in.
