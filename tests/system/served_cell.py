@@ -5,6 +5,7 @@ import shutil
 import signal
 import time
 from collections import deque
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
@@ -199,11 +200,14 @@ class ServedCell:
         self.run.node(node).send_signal(signal.SIGKILL)
 
     def fill_disk(self) -> None:
-        """Leaves the runs a megabyte; refused where others write on the same disk."""
+        """Leaves the runs nothing; refused where others write on the same disk."""
         disk = self.runs.parent
         assert disk.is_mount(), f"{disk} is no file system of its own"
-        with (disk / "filler").open("wb") as file:
-            os.posix_fallocate(file.fileno(), 0, shutil.disk_usage(disk).free - 2**20)
+        with (disk / "filler").open("wb", buffering=0) as file, suppress(OSError):
+            os.posix_fallocate(file.fileno(), 0, shutil.disk_usage(disk).free - 2**24)
+            file.seek(0, os.SEEK_END)
+            while file.write(bytes(2**18)):
+                pass
 
     def free_disk(self) -> None:
         """Takes back what `fill_disk` did."""
