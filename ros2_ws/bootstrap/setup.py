@@ -129,7 +129,8 @@ class Setup:
         yield Step("hook", "start-up hook, repair of the wheels", own_hash, self._install_hook)
         names = ("package.xml", "CMakeLists.txt", "msg", "srv", "action")
         sources = [root / "skinplan_msgs" / name for name in names]
-        own_hash = hash_of(*sources, root / "ros2_ws/stand_ins", HERE / "workspace.py")
+        build = [root / "ros2_ws/stand_ins", HERE / "workspace.py", workspace.PYTHON_ONLY]
+        own_hash = hash_of(*sources, *build)
         text = "interface packages (minutes)"
         yield Step("interfaces", text, own_hash, self._build_interfaces)
         package = root / "skinplan_nodes"
@@ -179,7 +180,8 @@ class Setup:
         # complete.
         pip = [self._paths.python, "-m", "pip", "install", "--no-input", "--progress-bar", "off"]
         pip += ["--disable-pip-version-check", "--no-deps", "--no-build-isolation"]
-        pip += ["--use-pep517"]
+        # Compiled when imported: most modules never are, and compiling all costs 25 s.
+        pip += ["--use-pep517", "--no-compile"]
         for lock in self._locks:
             command = [*pip, "--require-hashes", "-r", lock]
             what = f"installing {lock.relative_to(self._paths.root)}"
@@ -217,7 +219,8 @@ class Setup:
     def _build_interfaces(self) -> None:
         prefixes = [self._paths.venv, *self._ros.prefixes]
         stand_ins = workspace.stand_ins_to_build(prefixes)
-        workspace.build_interfaces(self._paths, stand_ins, self._tool)
+        python_only = not self._ros.is_system
+        workspace.build_interfaces(self._paths, stand_ins, self._tool, python_only=python_only)
 
     def _install_nodes(self) -> None:
         install_nodes(self._paths, self._tool)

@@ -28,6 +28,10 @@ PACKAGE_TYPES = {
 #: Words in the stand-ins' package.xml that tell them from the originals once they are installed.
 STAND_IN_MARK = "Stand-in with the types that skinplan uses"
 
+#: Leaves out what rclpy never loads. For the wheels only: their one middleware is rmw_fastrtps_cpp.
+#: Beside a full installation another may be chosen, and nodes in C++ may use the interfaces.
+PYTHON_ONLY = Path(__file__).parent / "python_only.cmake"
+
 #: Generated code only copies fields: optimising it fully would take a quarter more of the longest
 #: step of the set-up.
 CMAKE_SETTINGS = (
@@ -87,13 +91,18 @@ def check_package_types(listing: str, wanted: Iterable[str]) -> None:
 
 
 def build_interfaces(
-    paths: Paths, stand_ins: Sequence[str], run: Callable[[Sequence[str | Path], str], str]
+    paths: Paths,
+    stand_ins: Sequence[str],
+    run: Callable[[Sequence[str | Path], str], str],
+    *,
+    python_only: bool,
 ) -> None:
     """Build and install ``skinplan_msgs`` and the stand-ins.
 
     Args:
         paths: Where everything is; the virtual environment is also the prefix to install into.
         stand_ins: Stand-ins to build.
+        python_only: Build only what rclpy with rmw_fastrtps_cpp loads.
         run: Runs a tool; takes the command and what it is for.
 
     Raises:
@@ -110,6 +119,8 @@ def build_interfaces(
     command = [*colcon, "build", *bases, "--packages-select", "skinplan_msgs", *stand_ins]
     command += ["--build-base", folder / "build", "--install-base", paths.venv, "--merge-install"]
     command += ["--event-handlers", "console_cohesion+", "--cmake-args", *CMAKE_SETTINGS]
+    if python_only:
+        command.append(f"-DCMAKE_PROJECT_INCLUDE={PYTHON_ONLY}")
     # CMake's own search could find another Python.
     command += [f"-D{name}_EXECUTABLE={paths.python}" for name in ("Python3", "PYTHON")]
     run(command, "building the interface packages")
