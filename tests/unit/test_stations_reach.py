@@ -15,15 +15,10 @@ from skinplan.errors import (
     NothingReachedError,
     TrackerBlindError,
 )
-from skinplan.mesh.check import check_mesh
-from skinplan.mesh.load import load_mesh
-from skinplan.mesh.segment import segment_mesh
 from skinplan.part.model import ScanSettings
-from skinplan.part.samples import write_sample
 from skinplan.robot.arm import ArmModel
 from skinplan.robot.cell import CellConfig, Obstacle
 from skinplan.robot.collision import CollisionWorld
-from skinplan.scan_path.plan import plan_scan_path
 from skinplan.stations.floor_grid import floor_grid
 from skinplan.stations.least_travel import least_travel
 from skinplan.stations.plan import plan_stations
@@ -324,12 +319,9 @@ def test_without_base_error_nothing_is_asked_of_the_neighbours():
         for number, (most, marks) in enumerate(zip(counts, marked, strict=True), start=1)
     ],
 )
-def test_the_paper_scenes_need_no_more_stations_than_table_1(tmp_path, strategy, name, most):
-    part = write_sample(name, tmp_path)
-    mesh, _ = check_mesh(load_mesh(part.mesh_path, part.unit))
-    settings = dataclasses.replace(part.scan, strategy=strategy, station_strategy="reach")
-    path = plan_scan_path(mesh, segment_mesh(mesh), settings)
-    result = plan_stations(path, part.T_map_workpiece, mesh, settings, CELL)
+def test_the_paper_scenes_need_no_more_stations_than_table_1(scene_plan, strategy, name, most):
+    plan = scene_plan(name, strategy=strategy, station_strategy="reach")
+    part, path, mesh, result = plan.part, plan.path, plan.prepared.mesh, plan.station_plan
     assert len(result.stations) <= most
     assert result.proven_optimal and result.lower_bound == len(result.stations)
     least = 1.0 if strategy == "coverage" else 0.995

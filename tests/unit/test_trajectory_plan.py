@@ -316,13 +316,17 @@ def test_a_scanner_beside_the_tool_axis_is_driven_too():
 def whole(part_mesh, path, T_map_workpiece, scan):
     stations = plan_stations(path, T_map_workpiece, part_mesh, scan, CELL)
     found = plan_trajectories(path, stations, T_map_workpiece, part_mesh, scan, CELL)
+    require_no_violation(part_mesh, path, T_map_workpiece, scan, stations, found)
+    return stations, found
+
+
+def require_no_violation(part_mesh, path, T_map_workpiece, scan, stations, found):
     for station, trajectory in zip(stations.stations, found, strict=True):
         there = in_arm_base(CELL, station.T_map_base_link, T_map_workpiece)
         assert problems(trajectory, path, there, part_mesh, scan, CELL) == []
         assert trajectory.station_id == station.id
         given = [*scanned(trajectory), *(s.point for s in trajectory.skipped)]
         assert sorted(given) == station.points.tolist()
-    return stations, found
 
 
 @pytest.mark.parametrize(
@@ -332,12 +336,11 @@ def whole(part_mesh, path, T_map_workpiece, scan):
         ("coverage", (80.0, 160.0)),
     ],
 )
-def test_the_hardest_scene_is_driven_without_violation(tmp_path, strategy, cycle_s):
-    part = write_sample("scene4", tmp_path)
-    scan = dataclasses.replace(part.scan, strategy=strategy)
-    mesh, _ = check_mesh(load_mesh(part.mesh_path, part.unit))
-    path = plan_scan_path(mesh, segment_mesh(mesh), scan)
-    stations, found = whole(mesh, path, part.T_map_workpiece, scan)
+def test_the_hardest_scene_is_driven_without_violation(scene_plan, strategy, cycle_s):
+    plan = scene_plan("scene4", strategy=strategy)
+    part, path = plan.part, plan.path
+    scan, stations, found = part.scan, plan.station_plan, plan.trajectories
+    require_no_violation(plan.prepared.mesh, path, part.T_map_workpiece, scan, stations, found)
     assert sum(len(t.skipped) for t in found) <= 0.02 * len(path)
     cycle = cycle_time(stations, found, CELL, scan, path)
     assert cycle_s[0] < cycle.cycle_s < cycle_s[1]

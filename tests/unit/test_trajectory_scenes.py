@@ -1,12 +1,10 @@
 """Whole plans of the sample scenes and of real panels, judged by the independent checker."""
 
-import dataclasses
-
 import pytest
 
 from skinplan.part.model import ScanSettings
 from skinplan.part.resolve import resolve_part
-from skinplan.part.samples import PANELS, write_sample
+from skinplan.part.samples import PANELS
 from skinplan.pipeline import plan_part
 from skinplan.robot.cell import CellConfig
 from skinplan.trajectory.plan import STRATEGIES
@@ -23,27 +21,16 @@ REAL_PANELS = (
 )
 # Every order there is, on a small and on a smooth scene; the default is judged on all scenes.
 ORDERS = [
-    (scene, order)
+    pytest.param(scene, order, marks=marks)
     for order in STRATEGIES
     if order != ScanSettings().order_strategy
-    for scene in ("scene1", "scene2")
+    for scene, marks in (("scene1", pytest.mark.long), ("scene2", ()))
 ]
-
-
-@pytest.fixture(scope="session")
-def scene_plan(tmp_path_factory):
-    """Plans a sample scene; each combination of scene and strategies once in a session."""
-    known = {}
-
-    def plan(name, **strategies):
-        key = (name, *sorted(strategies.items()))
-        if key not in known:
-            part = write_sample(name, tmp_path_factory.mktemp(name))
-            scan = dataclasses.replace(part.scan, **strategies)
-            known[key] = plan_part(dataclasses.replace(part, scan=scan), CELL)
-        return known[key]
-
-    return plan
+# The smallest and the hardest scene stand for the others in the normal run.
+SCENES = [
+    pytest.param(name, marks=() if name in ("scene2", "scene4") else pytest.mark.long)
+    for name in PANELS
+]
 
 
 def require_faultless(plan, least_share):
@@ -57,7 +44,7 @@ def scanned_share(plan):
     return sum(len(s.points) for t in plan.trajectories for s in t.segments) / len(plan.path)
 
 
-@pytest.mark.parametrize("name", PANELS)
+@pytest.mark.parametrize("name", SCENES)
 def test_the_default_plan_of_a_scene_is_without_fault(scene_plan, name):
     plan = scene_plan(name)
     require_faultless(plan, 0.98)
