@@ -82,17 +82,25 @@ def test_plan_of_a_bare_mesh_in_millimetres(tmp_path):
     assert json.loads(again.stdout)["plan_hash"] == summary["plan_hash"]
 
 
+#: All pictures of a plan, in their order; those up to `reach` need no trajectories.
+PICTURES = (
+    "regions", "points", "rows", "coverage", "stations", "reach", "order", "joints", "timeline",
+)  # fmt: skip
+UNTIL_STATIONS = PICTURES[:6]
+
+
+def names_of(kinds):
+    return [f"{kind}.png" for kind in kinds]
+
+
 def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
+    """And they end with what is planned."""
     monkeypatch.chdir(tmp_path)
-    result = invoke("plan", flat_mesh(tmp_path), "--view", "--json")
+    result = invoke("plan", flat_mesh(tmp_path), "--view", "--until", "stations", "--json")
     assert result.exit_code == 0, result.stderr
     view = json.loads(result.stdout)["view"]
     assert view["url"] is None
-    names = [Path(file).name for file in view["pictures"]]
-    kinds = (
-        "regions", "points", "rows", "coverage", "stations", "reach", "order", "joints", "timeline",
-    )  # fmt: skip
-    assert names == [f"{kind}.png" for kind in kinds]
+    assert [Path(file).name for file in view["pictures"]] == names_of(UNTIL_STATIONS)
     for file in view["pictures"]:
         assert Path(file).parent == Path("plan-flat")
         assert Path(file).read_bytes().startswith(b"\x89PNG")
@@ -102,16 +110,17 @@ def test_plan_writes_pictures_beside_the_plan(tmp_path):
     result = invoke("plan", flat_mesh(tmp_path), "--view", "--out", tmp_path / "here")
     assert result.exit_code == 0, result.stderr
     written = {path.name for path in (tmp_path / "here").iterdir()}
-    assert written >= {"scan_path.json", "summary.json", "regions.png", "stations.png"}
+    assert written >= {"scan_path.json", "summary.json", *names_of(PICTURES)}
+    assert "motion.gif" not in written
     assert str(tmp_path / "here" / "coverage.png") in result.stdout.replace("\n", "")
 
 
 def test_pictures_end_with_what_is_planned(tmp_path):
-    arguments = ("--view", "--until", "stations", "--out", tmp_path / "here", "--json")
+    arguments = ("--view", "--until", "coverage", "--out", tmp_path / "here", "--json")
     result = invoke("plan", flat_mesh(tmp_path), *arguments)
     assert result.exit_code == 0, result.stderr
     names = [Path(file).name for file in json.loads(result.stdout)["view"]["pictures"]]
-    assert names[-1] == "reach.png" and "order.png" not in names
+    assert names[-1] == "coverage.png" and "stations.png" not in names
 
 
 def test_plan_animates_the_arm(tmp_path, monkeypatch):
@@ -120,7 +129,8 @@ def test_plan_animates_the_arm(tmp_path, monkeypatch):
     result = invoke("plan", flat_mesh(tmp_path), *arguments)
     assert result.exit_code == 0, result.stderr
     pictures = [Path(file) for file in json.loads(result.stdout)["view"]["pictures"]]
-    assert [file.name for file in pictures][-2:] == ["timeline.png", "motion.gif"]
+    assert [file.name for file in pictures] == [*names_of(PICTURES), "motion.gif"]
+    assert all(file.read_bytes().startswith(b"\x89PNG") for file in pictures[:-1])
     assert pictures[-1].read_bytes().startswith(b"GIF89a")
 
 
