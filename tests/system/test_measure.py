@@ -251,6 +251,8 @@ def test_interrupt_ends_everything_in_time(start: Callable[..., GraphRun]) -> No
         assert reader.message_count > 0
 
 
+# In the normal run the process manager alone is killed, see test_processes.py.
+@pytest.mark.long
 def test_killed_runner_leaves_no_process(start: Callable[..., GraphRun]) -> None:
     run = start("--serve")
     run.until(lambda event: event["event"] == "graph")

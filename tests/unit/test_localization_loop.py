@@ -63,8 +63,9 @@ def check(attempts, failures, nearest, seen):
     assert np.median(attempts) <= 4
 
 
-def test_approaches_from_random_starts():
-    check(*campaign(range(40)))
+@pytest.mark.parametrize("starts", [12, pytest.param(40, marks=pytest.mark.long)])
+def test_approaches_from_random_starts(starts):
+    check(*campaign(range(starts)))
 
 
 @pytest.mark.long
