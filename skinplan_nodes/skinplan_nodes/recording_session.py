@@ -27,6 +27,7 @@ from skinplan.recording.qos import QosProfile as RecordedQos
 from skinplan.recording.ring import SnapshotRing
 from skinplan.recording.schema import schema_with_dependencies
 from skinplan.recording.selection import TopicSelection
+from skinplan.recording.sequence_gaps import SequenceGaps
 from skinplan_nodes.conversions import raw_stamp_s
 from skinplan_nodes.message_types import definition_text, message_class
 from skinplan_nodes.time_ack import TimeAck
@@ -88,6 +89,7 @@ class RecordingSession:
             self._ring = SnapshotRing(order.snapshot_bytes, order.snapshot_s)
         self._snapshots = 0
         self._subscriptions: dict[str, tuple[QoSProfile, Any, int]] = {}
+        self._gaps: dict[str, SequenceGaps] = {}
         self._refused: set[str] = set()
         self._last_ns = 0
         self.dropped_topics: dict[str, int] = {}
@@ -99,8 +101,8 @@ class RecordingSession:
 
     @property
     def dropped(self) -> int:
-        """Messages dropped so far."""
-        return sum([*(self.dropped_topics or self._queue.dropped).values()])
+        """Messages dropped so far, or lost on their way here."""
+        return sum([*(self.dropped_topics or self._missing()).values()])
 
     @property
     def topics(self) -> int:
@@ -114,7 +116,7 @@ class RecordingSession:
 
     def figures(self) -> dict[str, Any]:
         """Returns how the recording is going, for the diagnostics."""
-        worst = sorted(self._queue.dropped.items(), key=lambda item: -item[1])[:5]
+        worst = sorted(self._missing().items(), key=lambda item: -item[1])[:5]
         return {
             "messages": self._bag.messages,
             "topics": self.topics,
@@ -133,6 +135,7 @@ class RecordingSession:
             if not publishers:
                 continue
             known = self._subscriptions.get(topic)
+            self._gaps.setdefault(topic, SequenceGaps()).note_publishers(len(publishers))
             wanted = matching_qos(publishers)
             if known is not None and (known[0], known[2]) == (wanted, len(publishers)):
                 continue
@@ -187,7 +190,7 @@ class RecordingSession:
             self._node.destroy_subscription(subscription)
         self._ack.idle()
         self._queue.finish()
-        self.dropped_topics = dict(self._queue.dropped)
+        self.dropped_topics = self._missing()
         if self.dropped_topics:
             text = ", ".join(f"{topic}: {n}" for topic, n in sorted(self.dropped_topics.items()))
             self._bag.note("dropped", text)
@@ -195,6 +198,14 @@ class RecordingSession:
         for topic, count in summary.lost.items():
             self.dropped_topics[topic] = self.dropped_topics.get(topic, 0) + count
         return summary
+
+    def _missing(self) -> dict[str, int]:
+        """What the queue dropped and what was lost on its way here, by topic."""
+        found = dict(self._queue.dropped)
+        for topic, gaps in list(self._gaps.items()):
+            if gaps.lost:
+                found[topic] = found.get(topic, 0) + gaps.lost
+        return found
 
     def _subscribe(
         self, topic: str, type_name: str, publishers: list[TopicEndpointInfo], qos: QoSProfile
@@ -241,11 +252,12 @@ class RecordingSession:
     def _taker(self, topic: str) -> Callable[[bytes, Any], None]:
         clock = self._node.get_clock()
         on_cell_clock = bool(clock.ros_time_is_active)
-        put = self._put
+        put, note = self._put, self._gaps[topic].note
         # The most frequent topic tells how far this node has come.
         steady = topic.endswith(_STEADY_TOPIC)
 
         def take(data: bytes, info: Any) -> None:
+            note(info["publication_sequence_number"])
             if steady:
                 self._ack.reached(raw_stamp_s(data))
             if on_cell_clock:

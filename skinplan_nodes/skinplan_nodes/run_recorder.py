@@ -137,7 +137,8 @@ class RunRecorder(CellLifecycleNode):
             self.set_health("error", str(session.failure))
         elif session.dropped > self._reported:
             self._reported = session.dropped
-            self.set_health("warning", f"{session.dropped} messages dropped, the disk is slow")
+            text = f"{session.dropped} messages are missing: disk or machine are too slow"
+            self.set_health("warning", text)
 
     @replies(invalid=Status.BAG_NOT_WRITABLE)
     def _on_start(self, request: RecorderStart.Request, _: RecorderStart.Response) -> None:

@@ -1,6 +1,7 @@
 """What is published is what three readers find; split, snapshot, selection, drops, full disk."""
 
 import hashlib
+import threading
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -8,6 +9,7 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
+from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
 from sensor_msgs.msg import Image, JointState
 from skinplan_msgs.msg import Status
@@ -15,7 +17,7 @@ from skinplan_msgs.srv import RecorderStart, RecorderStop
 from std_msgs.msg import String
 from std_srvs.srv import Trigger
 
-from nodes.bench import Bench
+from nodes.bench import TIMEOUT_S, Bench
 from skinplan.recording.reader import open_bag, read_messages
 from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.run_recorder import RunRecorder
@@ -138,3 +140,35 @@ def test_a_request_that_makes_no_sense_is_named(bench: Bench, tmp_path: Path) ->
         request = RecorderStart.Request(folder=str(tmp_path / "bag"), **asked)
         answer = bench.call(RecorderStart, "recorder/start", request)
         assert answer.status.code == code and words in answer.status.message
+
+
+def test_what_the_middleware_drops_is_counted(bench: Bench, tmp_path: Path) -> None:
+    recorder = start(bench, tmp_path / "bag", tmp_path, topics=["/text"])
+    publisher = bench.tester.create_publisher(String, "/text", QoSProfile(depth=10_000))
+    bench.wait(lambda: publisher.get_subscription_count())
+    for number in range(10):
+        publisher.publish(String(data=str(number)))
+    bench.wait(lambda: recorder._session._bag.count("/text") == 10)
+    held, go_on = threading.Event(), threading.Event()
+
+    def hold(_: Any) -> None:
+        held.set()
+        go_on.wait(TIMEOUT_S)
+
+    # The recorder's executor is busy with something else for a while.
+    bench.tester.create_subscription(String, "/hold", hold, STATE)
+    holder = bench.tester.create_publisher(String, "/hold", STATE)
+    bench.wait(lambda: holder.get_subscription_count())
+    holder.publish(String())
+    assert held.wait(TIMEOUT_S)
+    for number in range(10, 5010):
+        publisher.publish(String(data=str(number)))
+    go_on.set()
+    publisher.publish(String(data="last"))
+    bench.wait(lambda: recorder._session.dropped + recorder._session._bag.count("/text") == 5011)
+    answer = stop(bench)
+    (lost,) = answer.dropped_topics
+    assert lost.key == "/text" and answer.dropped == int(lost.value) >= 2900
+    assert answer.messages == 5011 - answer.dropped
+    found = open_bag(tmp_path / "bag")
+    assert found.custom_data["dropped"] == f"/text: {answer.dropped}"
