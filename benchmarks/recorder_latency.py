@@ -23,7 +23,7 @@ from recorder_node import call
 from skinplan_msgs.srv import RecorderStart, RecorderStop
 from std_msgs.msg import String
 
-from skinplan_nodes.dds_transport import use_large_shared_memory
+from skinplan_nodes.dds_profiles import use_profiles
 
 PROBES_HZ = 200
 
@@ -110,7 +110,7 @@ def main() -> None:
     options = parser.parse_args()
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     # As a node of ours that publishes megabytes.
-    use_large_shared_memory()
+    use_profiles(large_messages=True)
     rclpy.init()
     node = Node("load")
     print(f"{'':10} {'probes':>7} {'median':>10} {'95 %':>10} {'99 %':>10} {'largest':>10}")

@@ -29,6 +29,7 @@ from skinplan.jobs.states import is_over
 from skinplan.json_file import write_json
 from skinplan.robot.cell_file import load_cell
 from skinplan_nodes.conversions import job_to_msg
+from skinplan_nodes.dds_profiles import use_profiles
 from skinplan_nodes.measure_client import MeasureClient
 from skinplan_nodes.truth import TruthLog
 
@@ -203,6 +204,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         operator_name=given.operator,
     )
     truth = TruthLog(cell.T_base_link_arm_base)
+    use_profiles()
     rclpy.init(args=[], signal_handler_options=SignalHandlerOptions.NO)
     reason = Path(given.runs_folder) / given.job_id / "log" / "died.txt"
     measurement = Measurement(

@@ -22,7 +22,7 @@ from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from skinplan.errors import SkinplanError
-from skinplan_nodes.dds_transport import use_large_shared_memory
+from skinplan_nodes.dds_profiles import use_profiles
 from skinplan_nodes.node import end_heartbeats
 
 _PR_SET_PDEATHSIG = 1
@@ -47,8 +47,7 @@ def run_node(kind: Callable[[], Any], arguments: Sequence[str] | None = None) ->
     logging.basicConfig(level=logging.INFO, stream=sys.stderr, format=log_format)
     early = threading.Event()
     _on_signals(early)
-    if getattr(kind, "LARGE_MESSAGES", False):
-        use_large_shared_memory()
+    use_profiles(bool(getattr(kind, "LARGE_MESSAGES", False)))
     # Signals end the node in order; they do not pull the context away from under it.
     rclpy.init(
         args=None if arguments is None else list(arguments),
