@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 
 from meshes import grid, without
 from scanned_part import T_TRACKER_WORKPIECE, dented, off_by, scanned
@@ -9,8 +10,11 @@ from skinplan.errors import AlignmentError, InputError, NoCloudError
 from skinplan.inspection.border import Border, cloud_ends
 from skinplan.inspection.closest import SurfaceIndex
 from skinplan.inspection.measure import deviations
-from skinplan.inspection.registration import register
+from skinplan.inspection.registration import RegistrationSettings, register
+from skinplan.inspection.stable import holding, with_holding
+from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.samples import sample_panel
+from skinplan.recognition.tray.parts import part_mesh
 from skinplan.scanner.samples import sample_surface
 from skinplan.transforms import apply, difference, inverse, transform
 
@@ -169,3 +173,61 @@ def test_what_can_t_be_laid_on_a_part_is_named():
         register(np.vstack([points, [[np.nan, 0, 0]]]), index, np.eye(4))
     with pytest.raises(InputError, match="coarse pose"):
         register(points, index, 2 * np.eye(4))
+
+
+def section():
+    """A hat stringer of 0.4 m along x, of sheet: closed, with ends as narrow as the sheet."""
+    made = part_mesh("hat_stringer")
+    return SurfaceMesh(np.asarray(made.vertices), np.asarray(made.faces, dtype=np.int64))
+
+
+def section_cloud(mesh, seed, ends=10):
+    """13,000 points of a section, those of its ends last: few, and every second one in mid-air."""
+    rng = np.random.default_rng(seed)
+    points = spread(mesh, 13_000, seed, 5e-6)
+    length = mesh.bounds[1, 0]
+    inside = np.minimum(points[:, 0], length - points[:, 0]) > 1e-4
+    few = points[~inside][:ends]
+    few[::2, 0] += rng.uniform(-1e-3, 1e-3, len(few[::2]))
+    return np.concatenate([points[inside], few])
+
+
+@pytest.mark.parametrize("seed", [0, 1, 3])
+def test_a_long_section_is_held_along_itself_by_few_points_at_its_ends(seed):
+    mesh = section()
+    settings = RegistrationSettings(points=3000, final_points=6000, gate_m=5e-4)
+    start = transform((0.004, 0.0, 0.0))
+    found = register(section_cloud(mesh, seed), index_of(mesh), start, settings)
+    distance, _ = difference(np.eye(4), found.T_tracker_workpiece)
+    assert found.undetermined == ()
+    assert distance < 6e-6
+
+
+def test_points_that_hold_a_motion_are_those_of_the_ends():
+    mesh = section()
+    cloud = section_cloud(mesh, 0, ends=40)
+    even = np.arange(0, len(cloud), 7)
+    held = holding(cloud, even, index_of(mesh))
+    # The ends are the last points; beside an edge a normal may be that of the other face.
+    assert np.isin(np.arange(len(cloud) - 40, len(cloud)), held).mean() > 0.85
+    # The walls of its holes hold it, too; of the sheet itself nothing does.
+    assert len(held) < 0.1 * len(cloud)
+    numbers, counts = with_holding(even, held, len(cloud))
+    assert len(np.unique(numbers)) == len(numbers)
+    assert set(numbers.tolist()) == set(even.tolist()) | set(held.tolist())
+    assert counts.sum() == pytest.approx(len(cloud))
+    assert np.all(counts[np.isin(numbers, held)] == 1.0)
+
+
+def test_nothing_is_added_where_every_motion_is_held_or_none_could_be():
+    block = box_mesh(0.3, 0.2, 0.1)
+    cloud = spread(block, 20_000)
+    even = np.arange(0, len(cloud), 4)
+    assert len(holding(cloud, even, index_of(block))) == 0
+    plane = grid(1.0, 0.6, 0.02)
+    assert len(holding(spread(plane, 20_000), even, index_of(plane))) == 0
+
+
+def box_mesh(*size):
+    made = trimesh.creation.box(size)
+    return SurfaceMesh(np.asarray(made.vertices), np.asarray(made.faces, dtype=np.int64))

@@ -118,6 +118,18 @@ def test_an_empty_tray_is_said_to_be_empty(recognizer: TrayRecognizer) -> None:
         recognizer.contents(np.zeros((0, 3)))
 
 
+def test_a_high_flange_between_two_images_does_not_cut_a_part_in_two(
+    recognizer: TrayRecognizer,
+) -> None:
+    # The upper flange, 43 mm over the tray, stands where two images of 0.45 m meet.
+    size_m = (0.9, 0.45)
+    scene, rng = tray_scene([placed("zee_clip", 0.44, 0.2, 4.7)], size_m), np.random.default_rng(0)
+    views = coarse_scan(scene, rng, size_m=size_m)
+    assert len(views) == 2
+    contents = recognizer.contents(np.concatenate([view.points for view in views]))
+    assert len(contents.places) == 1
+
+
 def test_odd_parts_are_named(recognizer: TrayRecognizer) -> None:
     (unknown,) = answers(recognizer, placed("machined_bracket", 0.24, 0.24))
     assert unknown.answer == UNKNOWN and "nearest model" in unknown.reason

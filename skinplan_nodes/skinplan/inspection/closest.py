@@ -96,6 +96,13 @@ class SurfaceIndex:
         fields = (np.concatenate(parts) for parts in zip(*batches, strict=True))
         return Closest(*fields)
 
+    def normals_near(self, points: Array) -> Array:
+        """Returns normals of the surface about where points lie on it, fast, shape (n, 3).
+
+        Beside an edge it may be that of the other face.
+        """
+        return np.asarray(self.mesh.face_normals[self._faces[self._tree.query(points)[1]]])
+
     def _batch(
         self, points: Array
     ) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.bool_], NDArray[np.int64]]:

@@ -27,6 +27,7 @@ from skinplan.inspection.determined import (
 )
 from skinplan.inspection.model import Alignment
 from skinplan.inspection.points import FEWEST, SIGMA_OF_MAD, TUKEY, enough_points, evenly
+from skinplan.inspection.stable import Choice, Sample
 from skinplan.transforms import Array, apply, inverse, require_transform, transform
 
 
@@ -36,7 +37,8 @@ class RegistrationSettings:
 
     Attributes:
         points: About so many points of the cloud are used, spread evenly over it ...
-        final_points: ... and so many in the end, against the noise.
+        final_points: ... and so many in the end, against the noise; each time with those that a
+            motion hangs on which these know little of.
         gate_m: Pairs farther apart are left out in the beginning [m].
         gate_min_m: In the end, points within this distance lie on the surface [m].
         noise_min_m: Noise that is assumed at least [m].
@@ -112,8 +114,8 @@ class _Registration:
         self._settings = settings
         self._to_part = inverse(initial)
         spacing = float(np.sqrt(index.mesh.area / settings.points))
-        picked = cloud[evenly(len(cloud), 10 * settings.points)]
-        self._points = _thinned(apply(self._to_part, picked), spacing)
+        self._chosen = Choice(cloud, index, self._to_part, 10 * settings.points, spacing)
+        self._points = self._chosen.even
         self._border = Border(index.mesh)
         self._ends = self._points[cloud_ends(self._points)]
         self._strip: Array | None = None
@@ -135,11 +137,13 @@ class _Registration:
         coarse, fine = _SCALES
         for scale in coarse:
             if scale <= self._settings.gate_m:
-                self._settle(scale, _few(self._points), _few(self._ends), first=True)
+                few = Sample.all_alike(_few(self._points))
+                self._settle(scale, few, _few(self._ends), first=True)
         for attempt in range(2):
+            points = self._chosen.fine(self._T)
             for scale in fine if attempt == 0 else ():
-                self._settle(scale, self._points, self._fine_ends())
-            final = self._final_points()
+                self._settle(scale, points, self._fine_ends())
+            final = self._chosen.final(self._T, self._settings.final_points)
             converged, solution, rows = self._settle(0.0, final, self._fine_ends())
             covered = covariance(rows, solution)
             lost = _unknown(covered, solution, self._settings.known_m)
@@ -150,7 +154,7 @@ class _Registration:
         return self._result(converged, solution, rows, covered)
 
     def _settle(
-        self, scale: float, points: Array, ends: Array, first: bool = False
+        self, scale: float, points: Sample, ends: Array, first: bool = False
     ) -> tuple[bool, Solution, list[tuple[Rows, float]]]:
         """Steps at one scale until nothing moves; scale 0 = that of the noise [m]."""
         for _ in range(self._settings.iterations):
@@ -166,7 +170,7 @@ class _Registration:
         return False, solution, rows
 
     def _rows(
-        self, scale: float, points: Array, ends: Array, first: bool
+        self, scale: float, points: Sample, ends: Array, first: bool
     ) -> list[tuple[Rows, float]]:
         surface = self._surface_rows(scale, points)
         rows = [(surface, FORM_M)]
@@ -181,14 +185,14 @@ class _Registration:
                 rows.append((border, BORDER_M))
         return rows
 
-    def _surface_rows(self, scale: float, points: Array) -> Rows:
+    def _surface_rows(self, scale: float, points: Sample) -> Rows:
         settings = self._settings
-        moved = apply(self._T, points)
+        moved = apply(self._T, points.points)
         found = self._index.closest(moved)
         gate = max(settings.gate_min_m, scale)
         kept = (found.distance < gate) & ~found.on_border
         self._used = float(np.mean(kept))
-        if np.count_nonzero(kept) < max(FEWEST, settings.inlier_ratio_min * len(points)):
+        if np.count_nonzero(kept) < max(FEWEST, settings.inlier_ratio_min * len(kept)):
             raise AlignmentError(
                 f"the cloud was to be laid on the part; {100 * self._used:.0f} % of its points "
                 f"lie within {gate * 1e3:.1f} mm of the surface, at least "
@@ -201,7 +205,7 @@ class _Registration:
         return Rows(
             jacobian(moved[kept], normals, self._pivot, self._size),
             residual,
-            weight,
+            points.stands_for[kept] * weight,
             patches(found.points[kept]),
         )
 
@@ -255,10 +259,6 @@ class _Registration:
         back = -lost @ (lost.T @ so_far)
         self._move(Solution(back, 0.0, np.zeros((6, 7)), lost, float("nan")))
 
-    def _final_points(self) -> Array:
-        picked = self._cloud[evenly(len(self._cloud), self._settings.final_points)]
-        return apply(self._to_part, picked)
-
     def _fine_ends(self) -> Array:
         """Points of the whole cloud near the border, found once it is nearly in place."""
         if not self._by_border or self._border.empty:
@@ -300,13 +300,6 @@ class _Registration:
             by_border=len(rows) > 1,
             condition=solution.condition,
         )
-
-
-def _thinned(points: Array, spacing_m: float) -> Array:
-    """Returns the first point of each cube of that side."""
-    cells = np.floor(points / spacing_m).astype(np.int64)
-    _, first = np.unique(cells, axis=0, return_index=True)
-    return points[np.sort(first)]
 
 
 def _few(points: Array) -> Array:

@@ -35,6 +35,10 @@ _SLIDES = (
 # beside an edge must not draw it to themselves.
 _CUT = 3.0
 _GRID = np.stack(np.meshgrid(np.arange(-2, 3), np.arange(-2, 3)), axis=-1).reshape(-1, 2)
+# A place on the rim of a grid may be on the way to a better one: the grid is laid about it again,
+# so many times in all.
+_ON_RIM = np.abs(_GRID).max(axis=1) == 2
+_SLIDES_MOST = 5
 
 
 @dataclass(frozen=True)
@@ -155,10 +159,12 @@ def _walked(
     model: FitModel,
     T_part_tray: Array,
     scales: tuple[float, ...],
+    any_side: bool = False,
 ) -> Array:
     points, normals = cloud.points[chosen], cloud.normals[chosen]
     for scale in scales:
-        T_part_tray = stepped(pairs(model, points, normals, T_part_tray), T_part_tray, scale)
+        found = pairs(model, points, normals, T_part_tray)
+        T_part_tray = stepped(found, T_part_tray, scale, any_side)
     return T_part_tray
 
 
@@ -172,18 +178,18 @@ def _slid(
 ) -> Array:
     """Slides a pose ``T_tray_part`` over the tray to where it fits best, shape (4, 4)."""
     axes = plane_frame(plane)[:3, :2]
-    points, normals = cloud.points[chosen], cloud.normals[chosen]
     few = chosen[evenly(len(chosen), settings.more)]
     for width, scales in _SLIDES:
         sharp = replace(settings, cut_m=min(settings.cut_m, _CUT * width))
-        tried = np.repeat(T_tray_part[None], len(_GRID), axis=0)
-        tried[:, :3, 3] += width * _GRID @ axes.T
-        best = int(np.argmin(_costs(cloud, few, model, inverse(tried), sharp)))
-        T_part_tray = inverse(tried[best])[None]
-        for scale in scales:
-            found = pairs(model, points, normals, T_part_tray)
-            T_part_tray = stepped(found, T_part_tray, scale, any_side=True)
-        T_tray_part = inverse(T_part_tray[0])
+        for _ in range(_SLIDES_MOST):
+            tried = np.repeat(T_tray_part[None], len(_GRID), axis=0)
+            tried[:, :3, 3] += width * _GRID @ axes.T
+            best = int(np.argmin(_costs(cloud, few, model, inverse(tried), sharp)))
+            T_part_tray = inverse(tried[best])[None]
+            T_part_tray = _walked(cloud, chosen, model, T_part_tray, scales, any_side=True)
+            T_tray_part = inverse(T_part_tray[0])
+            if not _ON_RIM[best]:
+                break
     return T_tray_part
 
 

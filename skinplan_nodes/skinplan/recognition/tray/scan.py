@@ -16,7 +16,8 @@ from skinplan.recognition.tray.camera import (
 from skinplan.recognition.tray.layout import TRAY_SIZE_M, PlacedPart, tray_grid
 from skinplan.transforms import Array
 
-# The coarse scan: square images of this side, edge to edge, from this height [m].
+# The coarse scan: square images of this side, edge to edge at the height of the highest part, from
+# this height [m].
 _TILE_M, _COARSE_M = 0.45, 0.9
 _FINE_M = 0.45
 
@@ -27,6 +28,9 @@ class ScanSettings:
 
     Attributes:
         coarse_step_m: Distance of points on the tray in the coarse scan [m].
+        coarse_high_m: The coarse images overlap so far that they leave no gap at this height over
+            the tray: images that meet on the tray would cut a part in two whose flange stands high
+            where they meet [m].
         fine_step_m: In the fine scan [m].
         side_views: Views from around in the fine scan, besides the one from above.
         tilt_rad: Of these views, from the vertical.
@@ -34,6 +38,7 @@ class ScanSettings:
     """
 
     coarse_step_m: float = 0.002
+    coarse_high_m: float = 0.06
     fine_step_m: float = 0.001
     side_views: int = 4
     tilt_rad: float = 0.8
@@ -60,7 +65,8 @@ def coarse_scan(
         size_m: Tray.
     """
     settings = settings or ScanSettings()
-    camera = VirtualCamera(scene, _camera(settings, _TILE_M / 2.0, _COARSE_M, True))
+    half = _TILE_M / 2.0 * _COARSE_M / (_COARSE_M - settings.coarse_high_m)
+    camera = VirtualCamera(scene, _camera(settings, half, _COARSE_M, True))
     counts = [max(1, int(np.ceil(length / _TILE_M - 1e-9))) for length in size_m]
     centres = [((np.array(index) + 0.5) * _TILE_M)[:2] for index in np.ndindex(*counts)]
     return [
