@@ -109,6 +109,37 @@ def summary(**changes: Any) -> dict[str, Any]:
     return {**document, **changes}
 
 
+@pytest.mark.parametrize(
+    ("fits", "alike", "said", "level"),
+    [
+        (True, [], "it is this part", "good"),
+        (True, ["panel-8"], "fits, but it may be panel-8 as well", "warn"),
+        (False, ["panel-8", EVIL], f"it is another part: panel-8 or {EVIL}", "bad"),
+        (False, [], "it is another, unknown part", "bad"),
+    ],
+)
+def test_the_report_says_which_part_stands_on_the_fixture(
+    tmp_path: Path, fits: bool, alike: list[str], said: str, level: str
+) -> None:
+    answer = {"part": "panel-7", "fits": fits, "alike": alike, "seen_ratio": 0.62, "text": "as 8"}
+    run = make_run(tmp_path / "run", summary(identification=answer))
+    text = checked(write_report(run))
+    assert f"Asked for panel-7 : {said} (62.00 % of the part seen) as 8" in text
+    assert f'<span class="state {level}">' in (run / "report.html").read_text(encoding="utf-8")
+    # Once, and not among the other figures, too.
+    assert text.count("Asked for") == 1 and "seen ratio" not in text
+
+
+def test_a_report_of_a_run_that_asked_for_no_identification_is_silent_about_it(
+    tmp_path: Path,
+) -> None:
+    text = checked(write_report(make_run(tmp_path / "run", summary())))
+    assert "stands on the fixture" not in text
+    odd = summary(identification={"fits": "yes", "alike": 3})
+    text = checked(write_report(make_run(tmp_path / "odd", odd)))
+    assert "the answer can't be read" in text
+
+
 def make_run(folder: Path, document: dict[str, Any]) -> Path:
     (folder / "plan").mkdir(parents=True)
     (folder / "summary.json").write_text(json.dumps(document))

@@ -26,6 +26,7 @@ from skinplan.inspection.report_head import (
     calibration,
     characteristic_rows,
     first_tiles,
+    identification,
     missing_rows,
     region_rows,
 )
@@ -45,6 +46,7 @@ _SHOWN_APART = {
     "bag",
     "inspection",
     "calibration",
+    "identification",
     "files",
     "timeline",
 }
@@ -105,6 +107,7 @@ def _context(files: RunFiles) -> dict[str, Any]:
         "facts_first": _facts_first(job, files),
         "first_tiles": first_tiles(files) if "inspection" in files.summary else [],
         "calibration": calibration(files),
+        "identification": identification(files),
         "has_job": bool(job),
         "regions": region_rows(files),
         "characteristics": characteristic_rows(files),

@@ -45,6 +45,34 @@ def calibration(files: RunFiles) -> list[dict[str, str]]:
     return found
 
 
+def identification(files: RunFiles) -> dict[str, str] | None:
+    """Returns which part stands on the fixture, as texts; None = that was not asked.
+
+    Keys: the part that was asked for, the answer and its level, the share of the part that was
+    seen, and the answer as the recogniser gave it.
+    """
+    found = section(files.summary, "identification")
+    if not found:
+        return None
+    listed = found.get("alike")
+    alike = " or ".join(str(name) for name in listed) if isinstance(listed, list) else ""
+    if found.get("fits") is True:
+        level = "warn" if alike else "good"
+        state = f"fits, but it may be {alike} as well" if alike else "it is this part"
+    elif not isinstance(found.get("fits"), bool):
+        level, state = "warn", "the answer can't be read"
+    else:
+        level = "bad"
+        state = f"it is another part: {alike}" if alike else "it is another, unknown part"
+    return {
+        "part": plain(found.get("part")),
+        "state": state,
+        "level": level,
+        "seen": percent(found.get("seen_ratio")),
+        "text": str(found.get("text") or ""),
+    }
+
+
 def region_rows(files: RunFiles) -> list[list[str]]:
     """Returns a row of figures for the whole part and each region."""
     found = section(files.summary, "inspection")
