@@ -114,13 +114,20 @@ def holding(cloud: Array, even: NDArray[np.int64], index: SurfaceIndex) -> NDArr
     """
     middle = cloud.mean(axis=0)
     size = float(np.sqrt(np.mean(np.sum((cloud - middle) ** 2, axis=1))))
-    rows = jacobian(cloud, index.normals_near(cloud), middle, size)[:, :6]
+
+    def rows_of(points: Array) -> Array:
+        return jacobian(points, index.normals_near(points), middle, size)[:, :6]
+
+    known = rows_of(cloud[even])
+    if np.linalg.eigvalsh(known.T @ known)[0] >= _ENOUGH:
+        return np.zeros(0, dtype=np.int64)
+    rows = rows_of(cloud)
     _, directions = np.linalg.eigh(rows.T @ rows)
     held = (rows @ directions) ** 2
     found = [
         _strongest(each, _ENOUGH)
-        for each, known in zip(held.T, held[even].sum(axis=0), strict=True)
-        if known < _ENOUGH
+        for each, so_far in zip(held.T, held[even].sum(axis=0), strict=True)
+        if so_far < _ENOUGH
     ]
     return np.unique(np.concatenate([np.zeros(0, np.int64), *found]))
 
