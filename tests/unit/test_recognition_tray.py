@@ -142,6 +142,19 @@ def test_odd_parts_are_named(recognizer: TrayRecognizer) -> None:
     assert outside.answer == OUTSIDE and "edge of the tray" in outside.reason
 
 
+def test_a_part_with_an_odd_descriptor_is_named_by_its_form(
+    models: dict[str, trimesh.Trimesh], database: ModelDatabase
+) -> None:
+    settings = TraySettings(size_m=SIZE_M, match=MatchSettings(distance_max=1e-6))
+    strict = TrayRecognizer(models, database, settings)
+    rib = placed("rib_left", 0.24, 0.24)
+    (answer,) = answers(strict, rib)
+    assert answer.match is not None and answer.match.name is None and answer.match.alike == ()
+    assert answer.answer == KNOWN and answer.name == "rib_left", answer.reason
+    away, turned = off(rib, answer.T_tray_part)
+    assert away < 2e-5 and turned < 1e-4
+
+
 def test_parts_of_one_shape_are_not_guessed(models: dict[str, trimesh.Trimesh]) -> None:
     same = {"first": models["angle_clip"], "second": models["angle_clip"]}
     database = render_database(same, HEADINGS)

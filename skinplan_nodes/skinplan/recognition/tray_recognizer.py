@@ -108,8 +108,8 @@ class TrayRecognizer:
         located = self._located(cloud, plane, names)
         if located and located[0].verdict.grade != FAILED:
             return self._named(located, match, plane)
-        if self._is_mixed(located) and (hidden := self._hidden(cloud, plane, match)):
-            return hidden
+        if self._is_mixed(located) and (found := self._by_form(cloud, plane, match)):
+            return found
         if located:
             best = located[0]
             reason = f"{best.name} can't be laid on the cloud: {best.verdict.reason}"
@@ -178,14 +178,30 @@ class TrayRecognizer:
         rests = self._models[located.name].rests
         return max(RESTS, key=lambda name: float(up @ rests[name].T[:, 2]))
 
-    def _hidden(self, cloud: PartCloud, plane: Plane, match: Match) -> TrayPart | None:
-        """The answer when one known part explains much of the cloud, but not all of it."""
-        settings = self._settings
+    def _by_form(self, cloud: PartCloud, plane: Plane, match: Match) -> TrayPart | None:
+        """The answer of registration alone, where the descriptor has none that holds.
+
+        A model that explains all of the cloud is the part, however odd the descriptor: thinning
+        may have taken one side of a thin sheet. One that explains much of it lies below something.
+        """
+        found = self._everywhere(cloud, plane)
+        whole = [each.name for each in found if each.verdict.grade != FAILED]
+        located = self._located(cloud, plane, whole)
+        if located and located[0].verdict.grade != FAILED:
+            return self._named(located, match, plane)
+        return self._hidden(cloud, found, match)
+
+    def _everywhere(self, cloud: PartCloud, plane: Plane) -> list[Located]:
+        """All models, each with its middle anywhere over the cloud."""
         low, high = cloud.points.min(axis=0), cloud.points.max(axis=0)
-        shares = (np.arange(settings.hidden_grid) + 0.5) / settings.hidden_grid
+        count = self._settings.hidden_grid
+        shares = (np.arange(count) + 0.5) / count
         grid = np.stack(np.meshgrid(shares, shares, [0.0]), axis=-1).reshape(-1, 3)
         middles = low + grid * (high - low)
-        found = [self._laid(cloud, plane, name, middles) for name in self._models]
+        return [self._laid(cloud, plane, name, middles) for name in self._models]
+
+    def _hidden(self, cloud: PartCloud, found: list[Located], match: Match) -> TrayPart | None:
+        """The answer when one known part explains much of the cloud, but not all of it."""
         below = [each for each in found if self._is_below(cloud, each)]
         if not below:
             return None
