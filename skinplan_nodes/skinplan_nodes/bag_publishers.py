@@ -7,6 +7,7 @@ from typing import Any
 
 from geometry_msgs.msg import TransformStamped
 from rclpy.duration import Duration
+from rclpy.event_handler import PublisherEventCallbacks
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.serialization import deserialize_message, serialize_message
@@ -104,7 +105,7 @@ class BagPublishers:
         }
         old = {name: topic.publisher for name, topic in stale.items()}
         for topic_name, topic in stale.items():
-            topic.publisher = self._node.create_publisher(topic.kind, topic_name, topic.qos)
+            topic.publisher = self._publisher(topic.kind, topic_name, topic.qos)
             topic.sent = 0
         _wait_for_subscribers([(old[name], topic.publisher) for name, topic in stale.items()])
         for name, data in wanted.items():
@@ -132,8 +133,14 @@ class BagPublishers:
         profile = profile_to_play(topic, override)
         depth = max(1, latched_depth(topic)) if profile.latched else 0
         qos = ros_profile(profile)
-        publisher = self._node.create_publisher(kind, topic.name, qos)
+        publisher = self._publisher(kind, topic.name, qos)
         return _Topic(kind, qos, publisher, topic.type_name, depth)
+
+    def _publisher(self, kind: Any, name: str, qos: QoSProfile) -> Any:
+        # Without events: the executor waits for a publisher's events, and this thread, in which
+        # bags are played, would take them away from under it.
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        return self._node.create_publisher(kind, name, qos, event_callbacks=events)
 
     def _is_stale(self, name: str, wanted: list[bytes]) -> bool:
         topic = self._topics[name]
