@@ -28,7 +28,8 @@ node = rclpy.create_node("listener", enable_rosout=False)
 found = []
 def taker(topic):
     def take(raw):
-        found.append((topic, hashlib.sha256(raw).hexdigest(), time.monotonic_ns()))
+        now_ns = time.monotonic_ns()
+        found.append((topic, hashlib.sha256(raw[4:].rstrip(b"\\0")).hexdigest(), now_ns))
     return take
 for topic, kind in json.loads(sys.argv[1]).items():
     name = topic if topic.startswith("/") else "/" + topic
@@ -65,7 +66,8 @@ def measure(bag: Path) -> None:
             if topic.messages and topic.name != "/clock":
                 kinds[topic.name] = topic.type_name
         recorded = [
-            (m.topic, hashlib.sha256(m.data).hexdigest(), m.log_time_ns)
+            # DDS fills up to four bytes and says so in the head.
+            (m.topic, hashlib.sha256(m.data[4:].rstrip(b"\0")).hexdigest(), m.log_time_ns)
             for m in reader.messages(kinds)
         ]
     if not recorded:

@@ -27,6 +27,8 @@ _PATIENCE_S = 0.5
 # Fast DDS asks what has arrived when its queue is full and after some bytes, else only every 3 s:
 # with half a queue of small messages each answer would take a second.
 _IN_FLIGHT_BYTES = 16_000_000
+# A queue that fills within this runs over whatever the subscribers do [s].
+_BURST_S = 0.1
 _TF_STATIC = "tf2_msgs/msg/TFMessage"
 
 Overrides = Mapping[str, Callable[[RecordedQos], RecordedQos]]
@@ -42,6 +44,7 @@ class _Topic:
     sent: int = 0
     unacked: int = 0
     unacked_bytes: int = 0
+    since_s: float = 0.0
 
 
 class BagPublishers:
@@ -81,16 +84,23 @@ class BagPublishers:
 
         Args:
             message: The message.
-            patient: Subscribers that can't follow are waited for before their queue runs over.
+            patient: Subscribers that can't follow are waited for before the queue runs over, also
+                where it has not filled at once.
         """
         topic = self._topics[message.topic]
         topic.publisher.publish(message.data)
         topic.sent += 1
         topic.unacked += 1
         topic.unacked_bytes += len(message.data)
+        now_s = time.monotonic()
+        if topic.unacked == 1:
+            topic.since_s = now_s
         full = topic.unacked >= topic.qos.depth or topic.unacked_bytes >= _IN_FLIGHT_BYTES
-        if patient and full:
+        # A latched topic's short queue is meant to keep its last messages only.
+        at_once = not topic.depth and now_s - topic.since_s < _BURST_S
+        if full and (patient or at_once):
             topic.publisher.wait_for_all_acked(Duration(seconds=_PATIENCE_S))
+        if full:
             topic.unacked = topic.unacked_bytes = 0
 
     def restore(self, state: Mapping[str, list[BagMessage]]) -> None:
