@@ -122,13 +122,18 @@ def opened(folder: Path) -> int:
         return reader.info.messages
 
 
-def main() -> None:
-    """Runs everything."""
-    parser = argparse.ArgumentParser(description=__doc__)
+def asked(description: str | None) -> argparse.Namespace:
+    """What the command line says about the bag to be written."""
+    parser = argparse.ArgumentParser(description=description)
     parser.add_argument("--gigabytes", type=float, default=2.0)
     parser.add_argument("--compression", default="zstd", choices=("zstd", "lz4", "none"))
     parser.add_argument("--folder", type=Path, default=None)
-    given = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Runs everything."""
+    given = asked(__doc__)
     folder = Path(tempfile.mkdtemp(prefix="skinplan-playback-", dir=given.folder))
     try:
         bag = folder / "bag"

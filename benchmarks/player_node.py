@@ -7,7 +7,6 @@ to the first message heard; a seek from the call of the service to the first mes
 new place, and its latched state. The bag is written to a temporary folder and deleted.
 """
 
-import argparse
 import json
 import os
 import shutil
@@ -20,7 +19,7 @@ from typing import Any
 
 import numpy as np
 import rclpy
-from playback import write
+from playback import asked, write
 from rclpy.node import Node
 from rclpy.qos import DurabilityPolicy, QoSProfile
 from skinplan_msgs.srv import PlayerSeek
@@ -136,7 +135,7 @@ def start_and_seek(folder: Path, node: Node) -> None:
         program = player(folder, start_delay_s=0.0)
         starts.append(ear.wait(("/joints",), begin, "start"))
         client.wait_for_service(10.0)
-        for place in generator.uniform(0.0, length_s - 5.0, 4):
+        for place in generator.uniform(0.0, 0.75 * length_s, 4):
             ear.heard.clear()
             begin = time.monotonic()
             future = client.call_async(PlayerSeek.Request(offset=float(place)))
@@ -153,11 +152,7 @@ def start_and_seek(folder: Path, node: Node) -> None:
 
 def main() -> None:
     """Runs everything."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--gigabytes", type=float, default=2.0)
-    parser.add_argument("--compression", default="zstd", choices=("zstd", "lz4", "none"))
-    parser.add_argument("--folder", type=Path, default=None)
-    given = parser.parse_args()
+    given = asked(__doc__)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     folder = Path(tempfile.mkdtemp(prefix="skinplan-player-", dir=given.folder))
     rclpy.init()

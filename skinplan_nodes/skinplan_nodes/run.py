@@ -126,7 +126,7 @@ def _spin_until_shut(
     try:
         executor.spin()
     except ExternalShutdownException:
-        pass
+        pass  # the context was shut: that is how a node is asked to end
     except BaseException as error:
         # The context may go while a callback publishes or the executor waits: no failure.
         if not asked_to_end.is_set():
