@@ -132,7 +132,7 @@ def start_and_seek(folder: Path, node: Node) -> None:
     for _ in range(5):
         ear.heard.clear()
         begin = time.monotonic()
-        program = player(folder, start_delay_s=0.0)
+        program = player(folder, start_delay_s=0.0, loop=True)
         starts.append(ear.wait(("/joints",), begin, "start"))
         client.wait_for_service(10.0)
         for place in generator.uniform(0.0, 0.75 * length_s, 4):
