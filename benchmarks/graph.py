@@ -91,7 +91,8 @@ class Sampler(threading.Thread):
 def _name(process: psutil.Process, root: psutil.Process) -> str:
     if process.pid == root.pid:
         return "(runner)"
-    for word in process.cmdline()[:7]:
+    # A fork tells its command as one word.
+    for word in " ".join(process.cmdline()).split()[:7]:
         if word.startswith("skinplan_nodes.") and word != "skinplan_nodes.runner":
             return word.removeprefix("skinplan_nodes.")
     return "(readers of the runner)"

@@ -1,7 +1,8 @@
 """The processes of the graph, on top of the process manager honcho. Needs no ROS.
 
-honcho starts the processes and tells when one ends. Added here: a node that dies is started again,
-a bounded number of times; a staged end (a node that dies for good leaves the supervisor time to
+honcho starts the processes and tells when one ends. Added here: Python programs are forks of this
+process, which imports what they need once; a node that dies is started again, a bounded number of
+times; a staged end (a node that dies for good leaves the supervisor time to
 close the job; an interrupt lets the client abort it first); and no orphans, however the runner
 itself ends.
 """
@@ -23,6 +24,7 @@ from honcho.manager import Manager
 from honcho.printer import Message
 from honcho.process import Popen, Process
 
+from skinplan_nodes.forked import Forked, Program, preload
 from skinplan_nodes.restarts import NO_RESTARTS, RestartCounter, RestartPolicy
 
 _PR_SET_PDEATHSIG = 1
@@ -164,6 +166,8 @@ class GraphManager(Manager):
         return self._counters[name].recent if name in self._counters else 0
 
     def _start(self) -> None:
+        commands = [process["obj"].cmd for process in self._processes.values()]
+        preload(command.module for command in commands if isinstance(command, Program))
         for name in self._processes:
             self._launch(name)
 
@@ -281,5 +285,8 @@ class _BoundProcess(Process):
         die_with_parent(signal.SIGKILL, self._starter)
         # The program gets SIGTERM, so that the recorder can close its bag.
         ask = functools.partial(die_with_parent, signal.SIGTERM, os.getpid())
-        self._child_ctor = functools.partial(Popen, preexec_fn=ask)
+        if isinstance(self.cmd, Program):
+            self._child_ctor = functools.partial(Forked, at_start=ask)
+        else:
+            self._child_ctor = functools.partial(Popen, preexec_fn=ask)
         super().run(events, ignore_signals)

@@ -8,7 +8,6 @@ ROS itself.
 import json
 import logging
 import os
-import shlex
 import signal
 import sys
 from collections.abc import Sequence
@@ -19,6 +18,8 @@ from typing import Any
 import yaml
 
 from skinplan_nodes.dds_domain import domain_of_graph
+from skinplan_nodes.dds_segments import remove_orphaned_segments
+from skinplan_nodes.forked import Program
 from skinplan_nodes.graph import PACKAGE, NodeSpec
 from skinplan_nodes.processes import EndTimes, GraphManager
 from skinplan_nodes.runner_options import RunnerOptions, parse_arguments
@@ -61,7 +62,9 @@ class Runner:
         log_folder.mkdir(parents=True, exist_ok=True)
         # Of an earlier graph: this one's time begins anew.
         (log_folder / CLOCK).unlink(missing_ok=True)
-        environment = graph_environment(dict(os.environ))
+        # Before anything is imported that looks at it: the nodes are forks of this process.
+        os.environ.update(graph_environment(dict(os.environ)))
+        remove_orphaned_segments()
         # A served cell ends its job while the others are still there; otherwise the
         # client does that.
         client, first = (None, self._first()) if self.options.serve else (CLIENT, None)
@@ -77,10 +80,10 @@ class Runner:
         )
         settings = replace(self.options.graph, clock_file=str(log_folder / CLOCK))
         for node in self.options.nodes(settings):
-            manager.add_process(node.name, self._node_command(node, log_folder), env=environment)
+            manager.add_process(node.name, self._node_program(node, log_folder))
         if not self.options.serve:
-            manager.add_process(CLIENT, self._client_command(log_folder), env=environment)
-        domain = int(environment["ROS_DOMAIN_ID"])
+            manager.add_process(CLIENT, self._client_program(log_folder))
+        domain = int(os.environ["ROS_DOMAIN_ID"])
         self._emit({"event": "graph", "ros_domain_id": domain, "log_folder": str(log_folder)})
         manager.loop()
         self._finish(manager.returncode or 0)
@@ -136,6 +139,7 @@ class Runner:
 
     def _on_restart(self, name: str, code: int | None, count: int) -> None:
         if code is None:
+            remove_orphaned_segments()
             self._emit({"event": "node_restarted", "node": name, "restarts": count})
         else:
             self._emit({"event": "node_died", "node": name, **_codes(code), "restarted": True})
@@ -154,24 +158,25 @@ class Runner:
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
             signal.raise_signal(signal.SIGTERM)
 
-    def _node_command(self, node: NodeSpec, log_folder: Path) -> str:
-        arguments = [sys.executable, "-m", node.module, "--ros-args", "--disable-external-lib-logs"]
+    def _node_program(self, node: NodeSpec, log_folder: Path) -> Program:
+        arguments = ["--ros-args", "--disable-external-lib-logs"]
         if self.options.namespace:
             arguments += ["-r", f"__ns:={self.options.namespace}"]
         if self.options.config_folder is not None:
             config = self.options.config_folder / f"{node.name}.yaml"
             arguments += ["--params-file", str(config)] if config.is_file() else []
         arguments += ["--params-file", str(write_parameters(node, log_folder))]
-        return f"exec {shlex.join(arguments)} >>{shlex.quote(str(log_folder / node.name))}.log 2>&1"
+        return Program(node.module, tuple(arguments), log_folder / f"{node.name}.log")
 
-    def _client_command(self, log_folder: Path) -> str:
+    def _client_program(self, log_folder: Path) -> Program:
         options = self.options
-        arguments = [sys.executable, "-m", f"{PACKAGE}.{CLIENT}", "--part-uri", str(options.part)]
+        arguments = ["--part-uri", str(options.part)]
         arguments += ["--runs-folder", str(options.graph.runs_folder), "--job-id", options.job_id]
         arguments += ["--serial-number", options.serial_number, "--operator", options.operator_name]
         arguments += ["--namespace", options.namespace]
         arguments += ["--cell-file", options.graph.cell_file, "--json-lines"]
-        return f"exec {shlex.join(arguments)} 2>>{shlex.quote(str(log_folder / CLIENT))}.log"
+        log_file = log_folder / f"{CLIENT}.log"
+        return Program(f"{PACKAGE}.{CLIENT}", tuple(arguments), log_file, heard=True)
 
     def _run_folder(self) -> Path:
         return self.options.graph.runs_folder / self.options.job_id

@@ -74,7 +74,7 @@ class GraphRun:
     def node(self, name: str) -> psutil.Process:
         """Returns the process of a node."""
         module = f"skinplan_nodes.{name}"
-        return next(p for p in self.processes() if module in p.cmdline()[:6])
+        return next(p for p in self.processes() if module in command_of(p)[:6])
 
     def wait(self, timeout_s: float = TIMEOUT_S) -> int:
         """Waits for the end of the runner and returns its exit code."""
@@ -110,6 +110,17 @@ class GraphRun:
         assert self.process.stdout is not None
         for line in self.process.stdout:
             self.events.append(json.loads(line))
+
+
+def command_of(process: psutil.Process) -> list[str]:
+    """Returns the words of a process's command; none = it has gone.
+
+    A fork tells its command as one word, where that of a program is a list.
+    """
+    try:
+        return " ".join(process.cmdline()).split()
+    except psutil.NoSuchProcess:
+        return []
 
 
 def _is_running(process: psutil.Process) -> bool:

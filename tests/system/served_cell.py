@@ -23,7 +23,7 @@ from skinplan.part.model import Part
 from skinplan_nodes.conversions import stamp_from_msg
 from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.qos import LATCHED, STATE
-from system.graph_run import GraphRun
+from system.graph_run import TIMEOUT_S, GraphRun
 
 OVER = (JobStatus.ENDED, JobStatus.ABORTED)
 #: Sub-states in which a job stands still: nothing may move in them.
@@ -170,6 +170,16 @@ class ServedCell:
         self.runs = (disk or folder) / "runs"
         self.watch = Watch()
         self.run = GraphRun(self.runs, self.part.source, *options)
+        self._wait_until_it_takes_jobs()
+
+    def _wait_until_it_takes_jobs(self) -> None:
+        client = self.watch.bench.tester.create_client(JobSubmit, "jobs/submit")
+        try:
+            assert client.wait_for_service(TIMEOUT_S), self.run.errors.read_text()
+        except BaseException:
+            self.end()
+            raise
+        self.watch.bench.tester.destroy_client(client)
 
     def order(self, job_id: str) -> None:
         """Orders a job of the small part."""

@@ -7,18 +7,22 @@ import subprocess
 import sys
 import textwrap
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import psutil
 import pytest
 
 from skinplan_nodes.dds_domain import domain_of_graph
+from system.graph_run import command_of
 
 TIMEOUT_S = 20.0
 
 PROGRAM = """
-import sys
+import os, sys
+from pathlib import Path
+from skinplan_nodes.forked import Program
 from skinplan_nodes.processes import EndTimes, GraphManager
 from skinplan_nodes.restarts import RestartPolicy
 
@@ -33,6 +37,10 @@ manager = GraphManager(
 )
 for name, command in {processes!r}.items():
     manager.add_process(name, command)
+for name, module in {forks!r}.items():
+    log_file = Path({folder!r}) / f"{{name}}.log"
+    given = (name, str(os.getpid()))
+    manager.add_process(name, Program(module, given, log_file, heard=name == {client!r}))
 manager.loop()
 print(f"end {{manager.client_code() if manager._client else None}}", flush=True)
 sys.exit(manager.returncode)
@@ -53,16 +61,28 @@ class Program:
     """A process manager in a program of its own, with all its processes."""
 
     def __init__(
-        self, processes: dict[str, str], client: str | None, restarts: int, wait_s: float
+        self,
+        processes: dict[str, str],
+        client: str | None,
+        restarts: int,
+        wait_s: float,
+        forks: dict[str, str],
+        folder: Path,
     ) -> None:
         source = textwrap.dedent(PROGRAM).format(
-            client=client, processes=processes, restarts=restarts, wait_s=wait_s
+            client=client,
+            processes=processes,
+            restarts=restarts,
+            wait_s=wait_s,
+            forks=forks,
+            folder=str(folder),
         )
         self.process = subprocess.Popen(
             [sys.executable, "-c", source],
             stdout=subprocess.PIPE,
             text=True,
             start_new_session=True,
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[1])},
         )
         self.tree: list[psutil.Process] = []
 
@@ -95,7 +115,7 @@ def wait_for(condition: Callable[[], bool]) -> None:
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[[dict[str, str], str | None], Program]]:
+def start(tmp_path: Path) -> Iterator[Callable[..., Program]]:
     programs: list[Program] = []
 
     def begin(
@@ -103,8 +123,9 @@ def start() -> Iterator[Callable[[dict[str, str], str | None], Program]]:
         client: str | None = None,
         restarts: int = 0,
         wait_s: float = 0.05,
+        forks: Mapping[str, str] = MappingProxyType({}),
     ) -> Program:
-        programs.append(Program(processes, client, restarts, wait_s))
+        programs.append(Program(processes, client, restarts, wait_s, dict(forks), tmp_path))
         return programs[-1]
 
     yield begin
@@ -170,18 +191,11 @@ def node_of(program: Program, marker: str, before: int = 0) -> psutil.Process:
     def there() -> bool:
         root = psutil.Process(program.process.pid)
         program.tree = [root, *root.children(recursive=True)]
-        found[:] = [p for p in program.tree if marker in _command(p)[1:] and p.pid != before]
+        found[:] = [p for p in program.tree if marker in command_of(p)[1:] and p.pid != before]
         return bool(found)
 
     wait_for(there)
     return found[0]
-
-
-def _command(process: psutil.Process) -> list[str]:
-    try:
-        return process.cmdline()
-    except psutil.NoSuchProcess:
-        return []
 
 
 def marked(marker: str) -> str:
@@ -244,10 +258,62 @@ def test_end_of_the_client_does_not_wait_for_a_restart(start: Callable[..., Prog
     read_until(program, "line client up")
     victim.kill()
     read_until(program, f"restart victim {-signal.SIGKILL} 1")
-    client = next(p for p in program.tree if "signal.signal" in " ".join(_command(p)[2:3]))
+    client = next(p for p in program.tree if "signal.signal(signal.SIGINT," in command_of(p))
     client.send_signal(signal.SIGINT)
     assert program.lines()[-1] == "end 3"
     assert not program.running()
+
+
+FORK = "system.forked_program"
+
+
+def test_a_fork_is_a_program_of_its_own(start: Callable[..., Program], tmp_path: Path) -> None:
+    program = start({}, "client", forks={"node": FORK, "client": FORK})
+    lines = program.lines()
+    # The client's words are heard; what it says to stderr, and all that a node says, is in its log.
+    told = json.loads(next(li for li in lines if li.startswith("line client ")).split(" ", 2)[2])
+    assert lines[-1] == "end 7"
+    assert (tmp_path / "client.log").read_text() == "client to stderr\n"
+    first, second = (tmp_path / "node.log").read_text().splitlines()[:2]
+    assert second == "node to stderr"
+    for found in (told, json.loads(first)):
+        assert found["pid"] not in (program.process.pid, found["parent"])
+        assert found["parent"] != program.process.pid, "a reader of honcho is between them"
+        assert found["group"] == found["session"] == found["pid"]
+        assert found["handlers"] == [signal.SIG_DFL, signal.SIG_DFL]
+        assert found["open"] <= 1, "no file of the parent"
+        assert found["modules"] == "there", "what the parent imported"
+        assert found["title"][1:4] == ["-m", FORK, found["name"]]
+    assert not program.running()
+
+
+def test_forks_that_fail_say_so_in_their_logs(
+    start: Callable[..., Program], tmp_path: Path
+) -> None:
+    program = start({"other": NODE}, restarts=0, forks={"none": "system.no_such_program"})
+    assert "died none 1" in program.lines()
+    assert "No module named 'system.no_such_program'" in (tmp_path / "none.log").read_text()
+    program = start({"other": NODE}, restarts=0, forks={"raises": FORK})
+    assert "died raises 1" in program.lines()
+    assert "ZeroDivisionError" in (tmp_path / "raises.log").read_text()
+    assert not program.running()
+
+
+@pytest.mark.parametrize("sent", [signal.SIGTERM, signal.SIGKILL])
+def test_forks_end_with_the_manager(start: Callable[..., Program], sent: signal.Signals) -> None:
+    program = start({"node": NODE}, forks={"sleeps": FORK})
+    tree = program.wait_started(2)
+    tree[0].send_signal(sent)
+    program.process.wait(TIMEOUT_S)
+    wait_for(lambda: not program.running())
+
+
+def test_a_fork_that_is_killed_is_forked_again(start: Callable[..., Program]) -> None:
+    program = start({}, restarts=2, forks={"sleeps": FORK})
+    first = node_of(program, "sleeps")
+    first.kill()
+    read_until(program, "restart sleeps None 1")
+    assert node_of(program, "sleeps", first.pid).is_running()
 
 
 def test_domain_asked_for_is_taken() -> None:

@@ -23,7 +23,7 @@ from skinplan_msgs.msg import Heartbeat
 from nodes.small_part import write_small_part
 from skinplan_nodes.conversions import stamp_from_msg
 from skinplan_nodes.qos import STATE
-from system.graph_run import TIMEOUT_S, GraphRun
+from system.graph_run import TIMEOUT_S, GraphRun, command_of
 from system.test_processes import wait_for
 
 CLOCK, PLANNER, SUPERVISOR = "sim_clock", "scan_path_planner", "cell_supervisor"
@@ -87,20 +87,13 @@ def kill(run: GraphRun, name: str) -> psutil.Process:
 
     def found() -> bool:
         module = f"skinplan_nodes.{name}"
-        there[:] = [p for p in run.processes() if module in _command(p)[:6]]
+        there[:] = [p for p in run.processes() if module in command_of(p)[:6]]
         return bool(there)
 
     wait_for(found)
     (process,) = there
     process.send_signal(signal.SIGKILL)
     return process
-
-
-def _command(process: psutil.Process) -> list[str]:
-    try:
-        return process.cmdline()
-    except psutil.NoSuchProcess:
-        return []
 
 
 def until_back(run: GraphRun, name: str, count: int) -> None:
@@ -121,7 +114,7 @@ def test_clock_and_planner_come_back_after_kill_9(run: GraphRun, ear: Ear) -> No
     until_back(run, PLANNER, 1)
     wait_for(lambda: ear.pids[PLANNER][-1] != killed.pid)
     same = "/cell/scan_path_planner.params.yaml"
-    assert any(word.endswith(same) for word in run.node(PLANNER).cmdline()), "the same parameters"
+    assert any(word.endswith(same) for word in command_of(run.node(PLANNER))), "the same parameters"
     died = [e for e in run.events if e["event"] == "node_died"]
     assert [(e["node"], e["signal"], e["restarted"]) for e in died] == [
         (CLOCK, 9, True),
