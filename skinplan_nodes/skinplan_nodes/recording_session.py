@@ -1,5 +1,6 @@
 """One recording: subscribes the chosen topics, hands the serialised messages to a writer thread."""
 
+import threading
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -91,6 +92,9 @@ class RecordingSession:
         self._subscriptions: dict[str, tuple[QoSProfile, Any, int]] = {}
         self._gaps: dict[str, SequenceGaps] = {}
         self._refused: set[str] = set()
+        # The end comes from another thread than what looks for topics.
+        self._subscribing = threading.Lock()
+        self._over = False
         self._last_ns = 0
         self.dropped_topics: dict[str, int] = {}
 
@@ -140,7 +144,10 @@ class RecordingSession:
             if known is not None and (known[0], known[2]) == (wanted, len(publishers)):
                 continue
             try:
-                self._subscribe(topic, types[0], publishers, wanted)
+                with self._subscribing:
+                    if self._over:
+                        return
+                    self._subscribe(topic, types[0], publishers, wanted)
             except (LookupError, BagNotWritableError) as error:
                 if self.failure is not None:
                     return
@@ -186,8 +193,10 @@ class RecordingSession:
         Raises:
             BagNotWritableError: Not even the end of the bag could be written.
         """
-        for _, subscription, _ in self._subscriptions.values():
-            self._node.destroy_subscription(subscription)
+        with self._subscribing:
+            self._over = True
+            for _, subscription, _ in self._subscriptions.values():
+                self._node.destroy_subscription(subscription)
         self._ack.idle()
         self._queue.finish()
         self.dropped_topics = self._missing()

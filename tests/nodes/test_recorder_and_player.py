@@ -4,6 +4,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 from collections import Counter
 from pathlib import Path
 from typing import Any
@@ -14,6 +15,7 @@ from mcap.reader import make_reader
 from mcap_ros2.decoder import DecoderFactory
 from nav2_msgs.action import NavigateToPose
 from rclpy.action import ActionServer
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.qos import QoSProfile, QoSReliabilityPolicy
 from rosbags.highlevel import AnyReader
 from rosgraph_msgs.msg import Clock
@@ -30,7 +32,9 @@ from skinplan.recording.schema import schema_with_dependencies
 from skinplan_nodes.bag_player import BagPlayer
 from skinplan_nodes.message_types import definition_text, message_class
 from skinplan_nodes.qos import LATCHED, SENSOR, STATE
+from skinplan_nodes.recording_session import RecordingOrder, RecordingSession
 from skinplan_nodes.run_recorder import RunRecorder
+from skinplan_nodes.time_ack import TimeAck
 
 
 def start_recording(bench: Bench, folder: Path | str, **metadata: str) -> Any:
@@ -161,6 +165,36 @@ def test_sigterm_closes_the_bag(bench: Bench, tmp_path: Path) -> None:
     assert open_bag(tmp_path / "bag").complete
     assert (tmp_path / "bag" / "metadata.yaml").is_file()
     assert texts(tmp_path / "bag", "/said") == ["last words"]
+
+
+def test_the_end_does_not_meet_the_search_for_topics(bench: Bench, tmp_path: Path) -> None:
+    """The end comes from the main thread at SIGTERM, topics are found in the executor's."""
+    ack = TimeAck(bench.tester)
+    group = ReentrantCallbackGroup()
+    publishers = [bench.tester.create_publisher(String, f"t{n}", STATE) for n in range(40)]
+    for number in range(5):
+        order = RecordingOrder(tmp_path / str(number), {}, 2**20)
+        session = RecordingSession(bench.tester, order, group, ack)
+        failures: list[BaseException] = []
+
+        def search(session: RecordingSession = session, into: Any = failures) -> None:
+            try:
+                for _ in range(20):
+                    session.discover()
+            except BaseException as error:
+                into.append(error)
+
+        thread = threading.Thread(target=search)
+        thread.start()
+        while session.topics < 20 and thread.is_alive():
+            pass
+        session.finish()
+        topics = session.topics
+        thread.join(TIMEOUT_S)
+        assert not failures and not thread.is_alive()
+        assert open_bag(order.folder).complete
+        assert session.topics == topics, "nothing is subscribed after the end"
+    assert all(publisher.get_subscription_count() == 0 for publisher in publishers)
 
 
 @pytest.fixture
