@@ -4,12 +4,15 @@ import json
 import os
 import subprocess
 import sys
+import threading
 import time
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from rclpy.task import Future
+from skinplan_msgs.msg import Status
 
 from skinplan.errors import JobInvalidError
 from skinplan.jobs.model import Job, JobRecord, JobState
@@ -21,6 +24,7 @@ from skinplan_nodes.supervisor.control import (
     InterruptError,
     JobControl,
     Request,
+    StepError,
 )
 from skinplan_nodes.supervisor.journal import Entry
 from skinplan_nodes.supervisor.machine import Event
@@ -29,6 +33,7 @@ from skinplan_nodes.supervisor.run_data import Round
 from skinplan_nodes.supervisor.run_folder import RunFolder
 from skinplan_nodes.supervisor.time_left import TimeLeft
 from skinplan_nodes.supervisor.timeline import timeline
+from skinplan_nodes.supervisor.waiting import Waiter
 from skinplan_nodes.supervisor.watch import NodeWatch, process_runs
 
 CELL = CellConfig()
@@ -104,6 +109,25 @@ def test_watch_ignores_nodes_that_are_not_required() -> None:
     for _ in range(3):
         watch.look(["a"])
     assert watch.lost(1.0) is None
+
+
+def test_who_asked_a_node_that_was_started_again_does_not_wait_for_its_answer() -> None:
+    watch = NodeWatch(("a",), silent_max_s=5.0, process_runs=lambda _: True)
+    watch.beat("a", time.monotonic(), pid=7)
+    waiter = Waiter(
+        time.monotonic,
+        lambda name: watch.is_lost(name, time.monotonic()),
+        lambda name: watch.pid(name, time.monotonic()),
+    )
+    answered = Future()
+    answered.set_result("an answer")
+    assert waiter.wall(answered, 60.0, "service s", "a") == "an answer"
+    timer = threading.Timer(0.1, lambda: watch.beat("a", time.monotonic(), pid=8))
+    timer.start()
+    with pytest.raises(StepError, match="service s: node a was started again meanwhile") as found:
+        waiter.wall(Future(), 60.0, "service s", "a")
+    assert (found.value.code, found.value.node) == (Status.NODE_LOST, "a")
+    timer.join()
 
 
 def test_abort_keeps_the_first_reason_and_breaks_into_what_is_done() -> None:

@@ -181,10 +181,10 @@ class ServedCell:
             raise
         self.watch.bench.tester.destroy_client(client)
 
-    def order(self, job_id: str) -> None:
-        """Orders a job of the small part."""
+    def order(self, job_id: str, part: Part | None = None) -> None:
+        """Orders a job of the part that stands there, or as another part file describes it."""
         self.watch.forget()
-        self.watch.submit(Job(job_id=job_id, part=reference(self.part)))
+        self.watch.submit(Job(job_id=job_id, part=reference(part or self.part)))
 
     def until(self, job_id: str, state: str, timeout_s: float) -> bool:
         """Waits for a job's sub-state; False = the job was over, or it took too long."""

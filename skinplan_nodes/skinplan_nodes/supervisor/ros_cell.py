@@ -77,7 +77,11 @@ class RosCell:
         self._node = node
         self._values = values
         self._watch = watch
-        self.waiter = Waiter(self.now_s, lambda name: watch.is_lost(name, time.monotonic()))
+        self.waiter = Waiter(
+            self.now_s,
+            lambda name: watch.is_lost(name, time.monotonic()),
+            lambda name: watch.pid(name, time.monotonic()),
+        )
         self._calls = Calls(node, self.waiter)
         self._devices = Devices(node, self.waiter, on_fault)
         self._motion = Motion(node)

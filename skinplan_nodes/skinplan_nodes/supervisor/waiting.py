@@ -22,11 +22,19 @@ class Waiter:
     Args:
         now_s: Returns the cell's time [s].
         is_lost: Whether a node was seen and is gone: it will never answer.
+        pid: Returns the process of a node, 0 = it is not known: another one than was asked will
+            never answer either.
     """
 
-    def __init__(self, now_s: Callable[[], float], is_lost: Callable[[str], bool]) -> None:
+    def __init__(
+        self,
+        now_s: Callable[[], float],
+        is_lost: Callable[[str], bool],
+        pid: Callable[[str], int],
+    ) -> None:
         self._now_s = now_s
         self._is_lost = is_lost
+        self._pid = pid
         self.control = JobControl()
 
     @contextmanager
@@ -76,10 +84,14 @@ class Waiter:
     def _wait(self, future: Future, late: Callable[[], str | None], what: str, node: str) -> Any:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
+        asked = self._pid(node)
         while not done.wait(_LOOK_S):
             self.control.check()
             if self._is_lost(node):
                 raise StepError(Status.NODE_LOST, f"{what}: node {node} was lost", node)
+            if asked and self._pid(node) not in (0, asked):
+                text = f"{what}: node {node} was started again meanwhile"
+                raise StepError(Status.NODE_LOST, text, node)
             reason = late()
             if reason is not None:
                 raise StepError(Status.DEVICE_TIMEOUT, f"{what}: {reason}", node)
