@@ -220,6 +220,10 @@ class NoCandidatesError(SkinplanError):
     """No place where the base could stand."""
 
 
+class MarkersUnseenError(NoCandidatesError):
+    """From no place for the base the camera sees the part's markers well enough."""
+
+
 class NothingReachedError(SkinplanError):
     """The arm reaches none of the points."""
 

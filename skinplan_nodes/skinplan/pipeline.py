@@ -27,6 +27,7 @@ from skinplan.scan_path.rescan import rescan_path
 from skinplan.scanner.coverage_ply import write_coverage_ply
 from skinplan.scanner.document import coverage_document
 from skinplan.scanner.predict import Prediction, part_certifier, predict_coverage
+from skinplan.stations.marker_view import MarkerView
 from skinplan.stations.model import StationPlan
 from skinplan.stations.plan import STRATEGIES as STATION_STRATEGIES
 from skinplan.stations.plan import plan_stations
@@ -236,8 +237,15 @@ def plan_part(
     station_plan = stages.run(
         "stations",
         lambda: plan_stations(
-            path, part.T_map_workpiece, mesh, scan, cell, stages.within("stations"), is_cancelled
-        ),
+            path,
+            part.T_map_workpiece,
+            mesh,
+            scan,
+            cell,
+            stages.within("stations"),
+            is_cancelled,
+            MarkerView(part.fixture),
+        ),  # fmt: skip
     )
     planned = replace(planned, station_plan=station_plan)
     if "trajectory" not in wanted:

@@ -40,8 +40,10 @@ def scan_path_hash(path: ScanPath) -> str:
 
 
 def station_hash(plan: StationPlan) -> str:
-    """Returns the SHA-256 of the stations' poses and points, lower-case hex."""
+    """Returns the SHA-256 of the stations' poses and points, and of what was asked of them."""
     digest = hashlib.sha256(plan.strategy.encode())
+    if not math.isnan(plan.marker_quality):
+        _update(digest, np.array([plan.marker_quality]))
     for station in plan.stations:
         _update(digest, station.T_map_base_link)
         _update(digest, station.points)
@@ -205,6 +207,7 @@ def _stations_summary(plan: StationPlan) -> dict[str, Any]:
         "proven_optimal": plan.proven_optimal,
         "reached_ratio": plan.reached_ratio,
         "robust_ratio": plan.robust_ratio,
+        "marker_quality": plan.marker_quality,
         "tracker": None if plan.T_map_tracker is None else _pose_document(plan.T_map_tracker),
     }
 

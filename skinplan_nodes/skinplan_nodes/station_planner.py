@@ -11,10 +11,12 @@ from skinplan_msgs import msg as messages
 from skinplan_msgs.msg import Status
 from skinplan_msgs.srv import PlanStations
 
+from skinplan.part.model import Fixture
+from skinplan.stations.marker_view import MARGIN, MarkerView
 from skinplan.stations.plan import plan_stations
 from skinplan_nodes.conversions import pose_stamped_from_msg, station_plan_to_msg
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import CELL_FILE, MESHES_KEPT
+from skinplan_nodes.parameters import CELL_FILE, MESHES_KEPT, Parameter
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.planning import configured_cell, requested_path
 from skinplan_nodes.qos import LATCHED
@@ -29,6 +31,26 @@ class StationPlanner(CellNode):
     PARAMETERS = (
         CELL_FILE,
         MESHES_KEPT,
+        Parameter(
+            "markers_needed",
+            True,
+            "Stations are places from where the camera will locate the part; false = its place is "
+            "known without.",
+        ),
+        Parameter(
+            "quality_threshold",
+            0.0,
+            "T_E of eq (3) that aruco_localizer asks for [1]; 0 = the one of the cell file.",
+            0.0,
+            1.0,
+        ),
+        Parameter(
+            "marker_quality_margin",
+            MARGIN,
+            "So much more than T_E is asked of the E predicted for a station [1].",
+            0.0,
+            1.0,
+        ),
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -60,11 +82,19 @@ class StationPlanner(CellNode):
             self._cell,
             progress=self.note_progress,
             is_cancelled=self.ended,
+            markers=self._marker_view(part.fixture),
         )
         response.plan = station_plan_to_msg(plan, self.now_s())
         response.planning_time = time.perf_counter() - begin
         self._publisher.publish(response.plan)
         self.set_health("ok", f"planned {part.id}", stations=len(plan.stations))
+
+    def _marker_view(self, fixture: Fixture) -> MarkerView | None:
+        """What the camera is to see of a part from each station; None = nothing."""
+        values = self.values
+        if not values.markers_needed:
+            return None
+        return MarkerView(fixture, values.marker_quality_margin, values.quality_threshold)
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -88,7 +88,8 @@ def test_an_arm_beside_the_middle_of_the_base_stands_on_the_grid():
 def test_standing_agrees_with_the_check_at_one_place():
     T = transform((0.0, 0.0, -0.6)) @ upright(0.6)  # its lower edge is as low as the base
     poses = np.array([planar(0.1, -y, a) for y in np.arange(0.2, 0.6, 0.04) for a in (0.0, 0.6)])
-    free, what = standing(CELL, PANEL, T, poses)
+    found = standing(CELL, PANEL, T, poses)
+    free, what = found.free, found.blocked
     assert 0 < free.sum() < len(free) and what == "base with part"
     for pose, ok in zip(poses, free, strict=True):
         problem = CollisionWorld(CELL, PANEL, in_arm_base(CELL, pose, T)).base_problem()
@@ -99,7 +100,8 @@ def test_nothing_stands_in_an_obstacle():
     pillar = Obstacle("pillar", transform((0.0, -0.9, 1.0)), (0.2, 0.2, 2.0))
     cell = dataclasses.replace(CELL, obstacles=(pillar,))
     poses = np.array([planar(x, -0.9, 0.0) for x in (0.0, 0.3, 0.52, 0.6)])
-    free, what = standing(cell, PANEL, upright(0.6), poses)
+    found = standing(cell, PANEL, upright(0.6), poses)
+    free, what = found.free, found.blocked
     assert free.tolist() == [False, False, False, True] and what == "base with pillar"
 
 
@@ -190,7 +192,7 @@ def test_no_smaller_set_of_the_candidates_does_it():
         1.2,
         0.1,
     )
-    free, _ = standing(nominal, panel, upright(), grid.poses)
+    free = standing(nominal, panel, upright(), grid.poses).free
     problem = StationProblem(long_path, upright(), panel, SCAN, nominal)
     reached = engine_for(problem, (1.0,), False).table(grid.poses[free]).reached
     assert not np.any(reached.all(axis=1))

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from skinplan.contact.axial_radial import plan_axial_radial
 from skinplan.contact.settings import AxialRadialSettings
-from skinplan.errors import CancelledError, ScanPathInvalidError
+from skinplan.errors import CancelledError, NothingReachedError, ScanPathInvalidError
 from skinplan.stations.problem import Proposal, StationProblem
 from skinplan.stations.reach_strategy import engine_for
-from skinplan.stations.standing import standing
 from skinplan.transforms import Array, apply, inverse, planar, require_transform, rotate
 
 SETTINGS = AxialRadialSettings(
@@ -38,13 +37,19 @@ def axial_radial(problem: StationProblem, figures: AxialRadialSettings = SETTING
         ScanPathInvalidError: A path without points.
         InspectionPointsError: Points that are not finite or not in metres.
         NothingReachedError: No point is reached from anywhere.
+        MarkersUnseenError: Nor can the part be located from all of the places.
     """
     if not len(problem.path):
         raise ScanPathInvalidError(
             "stations were asked for a scan path without points; at least one point is accepted"
         )
     reach = _PathReach(problem)
-    plan = plan_axial_radial(reach.points, reach.at, figures)
+    try:
+        plan = plan_axial_radial(reach.points, reach.at, figures)
+    except NothingReachedError as error:
+        if reach.left_out:
+            raise problem.unseen(np.array(reach.left_out)) from error
+        raise
     return Proposal(
         poses=tuple(reach.base_pose(station.x_m, station.y_m) for station in plan.stations),
         along=reach.T_map_axial[:2, 1],
@@ -52,6 +57,7 @@ def axial_radial(problem: StationProblem, figures: AxialRadialSettings = SETTING
         lower_bound=0,
         proven_optimal=False,
         uncovered=np.flatnonzero(~plan.covered).astype(np.int64),
+        left_out=np.array(reach.left_out).reshape(-1, 4, 4),
     )
 
 
@@ -92,6 +98,8 @@ class _PathReach:
         self.T_map_axial = np.eye(4)
         self.T_map_axial[:2, :2] = axial_directions(positions[:, :2], directions)
         self.points = apply(inverse(self.T_map_axial), positions)
+        #: Places left out only for what the camera sees there, (4, 4) [m] each.
+        self.left_out: list[Array] = []
         self._problem = problem
         self._engine = engine_for(problem, (1.0,), False)
 
@@ -108,10 +116,11 @@ class _PathReach:
         if problem.is_cancelled is not None and problem.is_cancelled():
             raise CancelledError("station planning was cancelled")
         poses = self.base_pose(x, y)[None]
-        free, _ = standing(cell, problem.mesh, problem.T_map_workpiece, poses)
+        found = problem.standing(poses)
+        self.left_out.extend(poses[found.blind])
         T_map_arm = poses @ cell.T_base_link_arm_base
         T_part_arm = inverse(problem.T_map_workpiece) @ T_map_arm
         home = np.array([cell.home_rad])
-        if not free[0] or self._engine.world.codes(home, T_part_arm, T_map_arm)[0] > 0:
+        if not found.free[0] or self._engine.world.codes(home, T_part_arm, T_map_arm)[0] > 0:
             return np.zeros(len(self.points), dtype=bool)
         return np.asarray(self._engine.table(poses).reached[0], dtype=bool)

@@ -5,19 +5,18 @@ with differential drive loses the marker when it turns on the spot, so both step
 navigator: poses whose optical axis is the normal of the marker plane through the markers seen.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from skinplan.errors import QualityNotReachedError
-from skinplan.localization.camera import in_view
 from skinplan.localization.model import CameraModel, WorkpiecePose
-from skinplan.localization.square import square_corners
+from skinplan.localization.stand import enough_in_image, marker_corners, marker_frames
 from skinplan.localization.way import plan_way
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import CellConfig
-from skinplan.transforms import Array, apply, heading, inverse, planar, rotate
+from skinplan.transforms import Array, heading, planar, rotate
 
 # Views turned farther than this from the normal, beyond what the base misses by, are faced first.
 FACING_RAD = float(np.radians(3.0))
@@ -25,11 +24,8 @@ FACING_RAD = float(np.radians(3.0))
 LEAST_ADVANCE_M = 0.02
 # Plates that lie flatter than this can't be faced by a camera that looks level.
 _LEAST_LEVEL_NORMAL = 0.3
-# Rim of the image that no wanted marker may touch [px].
-_RIM_PX = 10.0
 # The camera steps back by this until enough markers are in the image [m].
 _STEP_BACK_M = 0.05
-_ENOUGH_MARKERS = 2
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,7 +93,7 @@ def next_goal(
         reach = max(float(np.linalg.norm(s[:2, 3] - T_map_base_link[:2, 3])) for s in way.stops)
         least = cell.quality.distance_min_m + stop_miss_m(cell, reach + lever)
         safe = way.clearance_m >= least
-        if safe and _enough_in_image(goal, markers, miss, camera, cell):
+        if safe and enough_in_image(goal[None], markers, miss, camera, cell)[0]:
             break
         wanted += _STEP_BACK_M
     if not safe or (not facing and distance - wanted < LEAST_ADVANCE_M):
@@ -156,29 +152,6 @@ def _pose_before(target: Array, normal: Array, distance_m: float, cell: CellConf
 
 def _plates(T_map_workpiece: Array, fixture: Fixture, ids: NDArray[np.int64]) -> Array:
     """Returns the corners of markers in map, shape (m, 4, 3) [m]."""
-    wanted = [marker for marker in fixture.markers if marker.id in ids]
-    return np.array(
-        [
-            apply(
-                T_map_workpiece @ fixture.T_workpiece_marker(marker.id),
-                square_corners(marker.size_m),
-            )
-            for marker in wanted
-        ]
-    )
-
-
-def _enough_in_image(
-    T_map_base_link: Array, markers: Array, miss_m: float, camera: CameraModel, cell: CellConfig
-) -> bool:
-    """Tells whether enough markers stay in the image when the base stops beside the goal."""
-    enough = min(_ENOUGH_MARKERS, len(markers))
-    turn = 2.0 * cell.base_error_rad
-    for side, angle in ((-1.0, -turn), (-1.0, turn), (1.0, -turn), (1.0, turn)):
-        stopped = T_map_base_link @ planar(side * miss_m, 0.0, angle)
-        T_optical_map = inverse(stopped @ cell.camera.T_base_link_optical)
-        corners = apply(T_optical_map, markers.reshape(-1, 3))
-        seen = in_view(corners, camera, _RIM_PX).reshape(-1, 4).all(axis=1)
-        if seen.sum() < enough:
-            return False
-    return True
+    wanted = replace(fixture, markers=tuple(m for m in fixture.markers if m.id in ids))
+    sizes = np.array([marker.size_m for marker in wanted.markers])
+    return marker_corners(marker_frames(T_map_workpiece, wanted), sizes)

@@ -12,7 +12,7 @@ from skinplan.errors import (
     WrongMarkerError,
 )
 from skinplan.localization.bundle import Bundle, bundle_of, strain
-from skinplan.localization.camera import in_view, require_camera
+from skinplan.localization.camera import require_camera
 from skinplan.localization.edge_lines import narrowest_px
 from skinplan.localization.edges import narrowest
 from skinplan.localization.judge import SAME_POSE_RAD, ambiguity
@@ -25,10 +25,10 @@ from skinplan.localization.solve import (
     refine,
     turned_by,
 )
-from skinplan.localization.square import square_corners
+from skinplan.localization.stand import clearly_seen, inside, marker_corners
 from skinplan.part.model import Fixture
 from skinplan.robot.cell import QualitySettings
-from skinplan.transforms import Array, apply, inverse
+from skinplan.transforms import Array, inverse
 
 # Pose, reprojection error [px] and covariance.
 _Solution = tuple[Array, float, Array]
@@ -46,10 +46,8 @@ _LEAST_TO_CONTRADICT = 3
 REPROJECTION_MAX_PX = 3.0
 # The pose of one marker, carried to another, is that far off at most: share of the other's side.
 _AGREES_SHARE = 0.5
-# A hidden marker is expected only well inside the image, seen large enough and not too obliquely.
+# A hidden marker is expected only well inside the image.
 _HIDDEN_RIM_PX = 12.0
-_HIDDEN_COSINE = 0.35
-_HIDDEN_SIDE_PX = 28.0
 
 
 def locate(
@@ -240,18 +238,10 @@ def hidden_ids(
     if not missing:
         return np.zeros(0, dtype=np.int64)
     frames = np.array([pose @ fixture.T_workpiece_marker(marker.id) for marker in missing])
-    places, sizes = frames[:, :3, 3], np.array([marker.size_m for marker in missing])
-    away = np.maximum(np.linalg.norm(places, axis=1), 1e-9)
-    cosine = -np.einsum("mi,mi->m", frames[:, :3, 2], places) / away
-    side = sizes * cosine / np.maximum(places[:, 2], 1e-9) * camera.K[0, 0]
-    clear = (places[:, 2] > 0.0) & (cosine >= _HIDDEN_COSINE) & (side >= _HIDDEN_SIDE_PX)
-    ids = np.array([marker.id for marker in missing], dtype=np.int64)[clear]
-    if len(ids) == 0:
-        return ids
-    own = zip(frames[clear], sizes[clear].tolist(), strict=True)
-    corners = np.concatenate([apply(frame, square_corners(size)) for frame, size in own])
-    inside = in_view(corners, camera, _HIDDEN_RIM_PX).reshape(-1, 4).all(axis=1)
-    return np.asarray(ids[inside])
+    sizes = np.array([marker.size_m for marker in missing])
+    expected = clearly_seen(frames, sizes, camera)
+    expected &= inside(marker_corners(frames, sizes), camera, _HIDDEN_RIM_PX)
+    return np.array([marker.id for marker in missing], dtype=np.int64)[expected]
 
 
 def _mismatch(bundle: Bundle, error_px: float) -> FixtureMismatchError:

@@ -17,9 +17,15 @@ def angle_and_distance(T_camera_marker: Array) -> tuple[float, float]:
         Angle between the optical axis and the marker plane, in [0, pi/2], pi/2 = fronto-parallel
         [rad], and the distance of the camera from that plane [m].
     """
-    normal = T_camera_marker[:3, 2]
-    angle = float(np.arcsin(min(abs(normal[2]), 1.0)))
-    return angle, float(abs(normal @ T_camera_marker[:3, 3]))
+    angles, distances = angles_and_distances(T_camera_marker)
+    return float(angles), float(distances)
+
+
+def angles_and_distances(T_camera_marker: Array) -> tuple[Array, Array]:
+    """Does the same for many markers, shape (..., 4, 4) [m]: theta [rad], d [m], shape (...)."""
+    normals = T_camera_marker[..., :3, 2]
+    angles = np.arcsin(np.minimum(np.abs(normals[..., 2]), 1.0))
+    return angles, np.abs((normals * T_camera_marker[..., :3, 3]).sum(axis=-1))
 
 
 def marker_quality(angle_rad: float, distance_m: float, settings: QualitySettings) -> float:
@@ -39,8 +45,13 @@ def marker_quality(angle_rad: float, distance_m: float, settings: QualitySetting
     Raises:
         InputError: An argument is not finite or out of range, or d_max is not above d_min.
     """
-    facing, nearness = quality_parts(angle_rad, distance_m, settings)
-    return settings.alpha * facing + (1.0 - settings.alpha) * nearness
+    return float(marker_qualities(np.array(angle_rad), np.array(distance_m), settings))
+
+
+def marker_qualities(angles_rad: Array, distances_m: Array, settings: QualitySettings) -> Array:
+    """Does the same for many markers, shape (...) each."""
+    facing, nearness = _parts(angles_rad, distances_m, settings)
+    return np.asarray(settings.alpha * facing + (1.0 - settings.alpha) * nearness)
 
 
 def quality_parts(
@@ -50,15 +61,22 @@ def quality_parts(
 
     Arguments and errors as `marker_quality`.
     """
+    facing, nearness = _parts(np.array(angle_rad), np.array(distance_m), settings)
+    return float(facing), float(nearness)
+
+
+def _parts(angles: Array, distances: Array, settings: QualitySettings) -> tuple[Array, Array]:
     near, far = settings.distance_min_m, settings.distance_max_m
     if not 0.0 <= settings.alpha <= 1.0 or not 0.0 < near < far:
         raise InputError(
             f"eq (3) takes alpha in [0, 1] and 0 < d_min < d_max, found alpha {settings.alpha}, "
             f"d_min {near} m, d_max {far} m"
         )
-    if not 0.0 <= angle_rad <= np.pi / 2 + 1e-9 or not 0.0 <= distance_m < np.inf:
+    possible = (angles >= 0.0) & (angles <= np.pi / 2 + 1e-9)
+    possible &= (distances >= 0.0) & (distances < np.inf)
+    if not np.all(possible):
         raise InputError(
-            f"eq (3) takes theta in [0, pi/2] and d >= 0, found {angle_rad} rad and {distance_m} m"
+            f"eq (3) takes theta in [0, pi/2] and d >= 0, found {angles[~possible].tolist()[:3]} "
+            f"rad and {distances[~possible].tolist()[:3]} m"
         )
-    closeness = (far - float(np.clip(distance_m, near, far))) / (far - near)
-    return float(np.sin(angle_rad)), closeness
+    return np.sin(angles), (far - np.clip(distances, near, far)) / (far - near)

@@ -15,6 +15,7 @@ if TYPE_CHECKING:  # a plan is read where no arm is needed
     from skinplan.stations.floor_grid import FloorGrid
     from skinplan.stations.rectangle import Rectangle
 
+BLIND = -3
 BLOCKED = -2
 NOT_TRIED = -1
 
@@ -26,7 +27,8 @@ class CandidateMap:
     Attributes:
         poses: ``T_map_base_link``, shape (c, 4, 4) [m].
         counts: Points that count for the choice at each place; `BLOCKED` = base or arm can't be
-            there, `NOT_TRIED` = it promised too little to be looked at closely, shape (c,).
+            there, `BLIND` = they can, but the camera sees the markers too badly, `NOT_TRIED` = it
+            promised too little to be looked at closely, shape (c,).
         counted: What the counts mean, to follow "candidate that ...".
         rectangle: The workspace rectangle; None = the strategy has none.
     """
@@ -53,6 +55,11 @@ class CandidateMap:
         return np.asarray(self.counts >= 0)
 
     @property
+    def blind(self) -> NDArray[np.bool_]:
+        """Which places are left out for what the camera sees there, shape (c,)."""
+        return np.asarray(self.counts == BLIND)
+
+    @property
     def blocked(self) -> NDArray[np.bool_]:
         """Which places are not free, shape (c,)."""
         return np.asarray(self.counts == BLOCKED)
@@ -64,6 +71,7 @@ def of_grid(
     tried: FloorGrid,
     counts: NDArray[np.int64],
     counted: str = "reaches",
+    blind: FloorGrid | None = None,
 ) -> CandidateMap:
     """Makes the map of a floor grid.
 
@@ -73,9 +81,12 @@ def of_grid(
         tried: Those of the free ones that were looked at closely.
         counts: Points that count for the choice at each tried place, shape (t,).
         counted: What the counts mean.
+        blind: Places left out only for what the camera sees there; None = none.
     """
     number = {tuple(cell): row for row, cell in enumerate(grid.cells.tolist())}
     result = np.full(len(grid), BLOCKED, dtype=np.int64)
     result[[number[tuple(cell)] for cell in free.cells.tolist()]] = NOT_TRIED
+    if blind is not None:
+        result[[number[tuple(cell)] for cell in blind.cells.tolist()]] = BLIND
     result[[number[tuple(cell)] for cell in tried.cells.tolist()]] = counts
     return CandidateMap(grid.poses, result, counted)

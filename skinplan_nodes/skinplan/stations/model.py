@@ -55,6 +55,8 @@ class StationPlan:
             [1]; NaN = not asked.
         T_map_tracker: Tracker that must see the scanner, given or proposed, shape (4, 4) [m]; None
             = not known.
+        marker_quality: E of eq (3) by which each station was asked to see a marker: T_E with margin
+            [1]; NaN = not asked.
         records: Reach records, one row for each station; None = not kept.
         robust: Which station reaches which point also from beside its goal, shape (s, n); None =
             not asked or not kept.
@@ -73,3 +75,4 @@ class StationPlan:
     robust: NDArray[np.bool_] | None = field(default=None, compare=False, repr=False)
     candidates_seen: CandidateMap | None = field(default=None, compare=False, repr=False)
     T_map_tracker: Array | None = field(default=None, compare=False)
+    marker_quality: float = float("nan")

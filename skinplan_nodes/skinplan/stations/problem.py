@@ -6,12 +6,15 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from skinplan.errors import MarkersUnseenError
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.model import ScanSettings
 from skinplan.robot.cell import CellConfig
 from skinplan.robot.records import ReachTable
 from skinplan.scan_path.model import ScanPath
 from skinplan.stations.candidate_map import CandidateMap
+from skinplan.stations.marker_view import MarkerView
+from skinplan.stations.standing import Standing, standing
 from skinplan.transforms import Array
 
 Progress = Callable[[float, str], None]
@@ -29,6 +32,7 @@ class StationProblem:
         cell: The cell.
         tell: Told the share done and what is being done.
         is_cancelled: Asked now and then; None = never.
+        markers: What the camera is to see of the part from each station; None = nothing.
     """
 
     path: ScanPath
@@ -38,6 +42,21 @@ class StationProblem:
     cell: CellConfig
     tell: Progress = field(default=lambda share, text: None)
     is_cancelled: Callable[[], bool] | None = None
+    markers: MarkerView | None = None
+
+    @property
+    def marker_quality(self) -> float:
+        """E that is asked of each station [1]; NaN = none is."""
+        return float("nan") if self.markers is None else self.markers.required(self.cell)
+
+    def standing(self, poses: Array) -> Standing:
+        """Tells where the base can stand, of poses ``T_map_base_link``, shape (c, 4, 4) [m]."""
+        return standing(self.cell, self.mesh, self.T_map_workpiece, poses, self.markers)
+
+    def unseen(self, poses: Array) -> MarkersUnseenError:
+        """Returns the error of markers that are seen from none of some poses, (c, 4, 4) [m]."""
+        assert self.markers is not None
+        return self.markers.unseen(self.cell, self.T_map_workpiece, poses)
 
     @property
     def views(self) -> tuple[Array, Array, Array]:
@@ -77,6 +96,7 @@ class Proposal:
         uncovered: Points that no candidate covers, shape (u,).
         reach: What the poses really reach; None = the strategy does not know.
         candidates_seen: The candidates, for pictures; None = not kept.
+        left_out: Candidates left out only for what the camera sees there, shape (b, 4, 4) [m].
     """
 
     poses: tuple[Array, ...]
@@ -87,3 +107,4 @@ class Proposal:
     uncovered: NDArray[np.int64]
     reach: StationReach | None = None
     candidates_seen: CandidateMap | None = None
+    left_out: Array = field(default_factory=lambda: np.zeros((0, 4, 4)))

@@ -1,11 +1,11 @@
 """Strategy ``reach``: the fewest places from which the arm really reaches everything.
 
 Candidates stand on a floor grid beside the part, free of collision with base, pedestal and the arm
-at home. What each reaches is found by `ReachEngine`; what it reaches although the base stops beside
-its goal by `eroded`. The smallest set that covers all that some candidate reaches so is found with
-proof; of all such sets the one with least travel and most margin is taken. Points that are reached
-only from an undisturbed base are covered where a chosen station does, and are no reason for a
-further one.
+at home, and where the camera will locate the part. What each reaches is found by `ReachEngine`;
+what it reaches although the base stops beside its goal by `eroded`. The smallest set that covers
+all that some candidate reaches so is found with proof; of all such sets the one with least travel
+and most margin is taken. Points that are reached only from an undisturbed base are covered where a
+chosen station does, and are no reason for a further one.
 """
 
 import logging
@@ -29,9 +29,10 @@ from skinplan.robot.tracker import TrackerSight
 from skinplan.stations.candidate_map import of_grid
 from skinplan.stations.floor_grid import FloorGrid, floor_grid
 from skinplan.stations.least_travel import least_travel
+from skinplan.stations.left_out import reasons_of_left_out
 from skinplan.stations.problem import Proposal, StationProblem, StationReach
 from skinplan.stations.robust import eroded, grid_step, widened
-from skinplan.stations.standing import apply_each, standing
+from skinplan.stations.standing import apply_each
 from skinplan.transforms import Array, apply, inverse, rotate
 
 _LOG = logging.getLogger(__name__)
@@ -61,6 +62,7 @@ def reach_stations(problem: StationProblem) -> Proposal:
 
     Raises:
         NoCandidatesError: No place for the base is free of collision.
+        MarkersUnseenError: From none that is, or that reaches a point, the part can be located.
         TrackerBlindError: The tracker sees the scanner nowhere.
         LimitsExcludeError: The joint limits exclude everything.
         NothingReachedError: No point is reached from anywhere.
@@ -68,7 +70,7 @@ def reach_stations(problem: StationProblem) -> Proposal:
     """
     engine = engine_for(problem, (1.0,), problem.cell.base_error_m > 0.0)
     problem.tell(0.02, "candidates")
-    grid, free = _free_grid(problem, engine)
+    grid, free, blind = _free_grid(problem, engine)
     promising = engine.promising(free.poses)
     worth = _worth_trying(free, promising.sum(axis=1))
     tried = _try(problem, engine, free.take(worth))
@@ -76,6 +78,8 @@ def reach_stations(problem: StationProblem) -> Proposal:
         # What no good candidate reaches may be reached by one that promises little.
         tried = _try_others(problem, engine, free, worth, promising, tried)
     if not tried.reached.any():
+        if reasons_of_left_out(problem, engine, blind.poses, np.arange(len(problem.path))):
+            raise problem.unseen(blind.poses)
         raise _nothing_reached(problem, tried)
     covers = tried.robust if tried.robust.any() else tried.reached
     problem.tell(0.85, "choosing stations")
@@ -88,7 +92,9 @@ def reach_stations(problem: StationProblem) -> Proposal:
     poses = tried.grid.poses[chosen]
     problem.tell(0.9, "records of the chosen stations")
     table = engine_for(problem, FINE_SHARES, False).table(poses, keep_joints=True)
-    reasons = _reasons(tried, table.reached | tried.reached[chosen])
+    reached = table.reached | tried.reached[chosen]
+    missing = np.flatnonzero(~reached.any(axis=0))
+    reasons = _reasons(tried, reached) | reasons_of_left_out(problem, engine, blind.poses, missing)
     return Proposal(
         tuple(poses),
         tried.grid.along,
@@ -97,7 +103,7 @@ def reach_stations(problem: StationProblem) -> Proposal:
         cover.proven,
         cover.uncoverable,
         StationReach(table.reached, tried.robust[chosen] & table.reached, table, reasons),
-        of_grid(grid, free, tried.grid, covers.sum(axis=1), _word(problem)),
+        of_grid(grid, free, tried.grid, covers.sum(axis=1), _word(problem), blind),
     )
 
 
@@ -124,8 +130,10 @@ def engine_for(
     )
 
 
-def _free_grid(problem: StationProblem, engine: ReachEngine) -> tuple[FloorGrid, FloorGrid]:
-    """The grid, and its places where the base can stand with the arm at home."""
+def _free_grid(
+    problem: StationProblem, engine: ReachEngine
+) -> tuple[FloorGrid, FloorGrid, FloorGrid]:
+    """The grid, its places where base and arm at home can be, and those left out for the camera."""
     cell, T_map_workpiece = problem.cell, problem.T_map_workpiece
     grid = floor_grid(
         apply(T_map_workpiece, problem.path.positions),
@@ -134,19 +142,26 @@ def _free_grid(problem: StationProblem, engine: ReachEngine) -> tuple[FloorGrid,
         engine.far_m,
         grid_step(cell),
     )
-    free, blocked = standing(cell, problem.mesh, T_map_workpiece, grid.poses)
-    grid_free = grid.take(free)
-    T_map_arm = grid_free.poses @ cell.T_base_link_arm_base
-    home = np.tile(cell.home_rad, (len(grid_free), 1))
-    codes = engine.world.codes(home, inverse(T_map_workpiece) @ T_map_arm, T_map_arm)
-    if not np.any(codes == 0):
-        if len(codes):
-            blocked = engine.world.names[int(np.bincount(codes).argmax())] + " with the arm at home"
+    found = problem.standing(grid.poses)
+    free, blind, blocked = found.free, found.blind, found.blocked
+    T_map_arm = grid.poses @ cell.T_base_link_arm_base
+    home = np.tile(cell.home_rad, (len(grid), 1))
+    clear = np.flatnonzero(free | blind)
+    codes = np.zeros(len(grid), dtype=np.int64)
+    codes[clear] = engine.world.codes(
+        home[clear], inverse(T_map_workpiece) @ T_map_arm[clear], T_map_arm[clear]
+    )
+    if not np.any(free & (codes == 0)):
+        if np.any(blind & (codes == 0)):
+            raise problem.unseen(grid.poses[blind & (codes == 0)])
+        if len(clear):
+            blocked = engine.world.names[int(np.bincount(codes[clear]).argmax())]
+            blocked += " with the arm at home"
         raise NoCandidatesError(
             f"none of the {len(grid)} places for the base within the arm's reach of the part is "
             f"free: {blocked}; a place on the floor that is clear of the part is needed"
         )
-    return grid, grid_free.take(codes == 0)
+    return grid, grid.take(free & (codes == 0)), grid.take(blind & (codes == 0))
 
 
 def _worth_trying(grid: FloorGrid, counts: NDArray[np.int64]) -> NDArray[np.bool_]:

@@ -1,4 +1,6 @@
-"""Where the base can stand: clear of the part and of what stands in the shop."""
+"""Where the base can stand: clear of part and shop, the markers in the camera's view."""
+
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,24 +11,42 @@ from skinplan.robot.cell import CellConfig
 from skinplan.robot.cell_check import PEDESTAL_RADIUS_M, base_box
 from skinplan.robot.distance_field import distance_field
 from skinplan.robot.shapes import box_distances
+from skinplan.stations.marker_view import MarkerView
 from skinplan.transforms import Array, apply, inverse
 
 _PITCH_M = 0.05  # spacing of the points on the base that are checked against obstacles
 
 
+@dataclass(frozen=True, eq=False)
+class Standing:
+    """Where the base can stand.
+
+    Attributes:
+        free: Where nothing is against it, shape (c,).
+        blind: Where base and pedestal are clear, but the part could not be located, shape (c,).
+        blocked: What most of the others stand in, or lack.
+    """
+
+    free: NDArray[np.bool_]
+    blind: NDArray[np.bool_]
+    blocked: str
+
+
 def standing(
-    cell: CellConfig, mesh: SurfaceMesh, T_map_workpiece: Array, poses: Array
-) -> tuple[NDArray[np.bool_], str]:
-    """Tells where base and pedestal are clear of the part and of the cell's obstacles.
+    cell: CellConfig,
+    mesh: SurfaceMesh,
+    T_map_workpiece: Array,
+    poses: Array,
+    markers: MarkerView | None = None,
+) -> Standing:
+    """Tells where base and pedestal are clear of part and obstacles, and the markers are seen.
 
     Args:
         cell: The cell.
         mesh: The part, workpiece frame.
         T_map_workpiece: Part in the shop, shape (4, 4) [m].
         poses: ``T_map_base_link``, shape (c, 4, 4) [m].
-
-    Returns:
-        Which poses are free, shape (c,), and what most of the others stand in.
+        markers: What the camera is to see; None = nothing.
     """
     field = distance_field(mesh)
     points = apply(T_map_workpiece, field.samples)
@@ -46,8 +66,13 @@ def standing(
             ],
             dtype=bool,
         )
-    free = ~np.any(list(blocked.values()), axis=0)
-    return free, max(blocked, key=lambda name: int(blocked[name].sum()))
+    clear = ~np.any(list(blocked.values()), axis=0)
+    blind = np.zeros(len(poses), dtype=bool)
+    if markers is not None:
+        blind = clear & ~markers.suffices(cell, T_map_workpiece, poses)
+        blocked[markers.words(cell)] = blind
+    most = max(blocked, key=lambda name: int(blocked[name].sum()))
+    return Standing(clear & ~blind, blind, most)
 
 
 def _in_base(cell: CellConfig, points: Array, margin: float, poses: Array) -> NDArray[np.bool_]:

@@ -44,6 +44,7 @@ def draw_candidates(axes: Axes, seen: CandidateMap, cell: CellConfig, size: floa
     # Few candidates need larger dots to be seen at all.
     size = size if len(places) > 200 else 2.0 * size
     axes.plot(*places[seen.blocked].T, "x", color=_BLOCKED, markersize=0.8 * size, zorder=2.2)
+    axes.plot(*places[seen.blind].T, "+", color=_BLOCKED, markersize=size, zorder=2.2)
     left = seen.counts == NOT_TRIED
     axes.plot(
         *places[left].T, "o", markerfacecolor="none", markeredgecolor=_BLOCKED, markersize=size,
@@ -63,6 +64,7 @@ def draw_candidate_rectangles(
 ) -> None:
     """Draws the rectangles of all candidates, coloured by the points that they cover."""
     order = np.argsort(seen.counts, kind="stable")
+    order = order[seen.tried[order]]
     corners = [rectangle_corners(seen.poses[row], cell, rectangle) for row in order]
     axes.add_collection(
         PolyCollection(
@@ -88,6 +90,7 @@ def candidate_handles(seen: CandidateMap) -> list[Artist]:
             )
     for code_shown, label, style in (
         (seen.counts == NOT_TRIED, "candidate that promised little", {"markerfacecolor": "none"}),
+        (seen.blind, "from where the part can't be located", {"marker": "+"}),
         (seen.blocked, "not free for base or arm", {"marker": "x"}),
     ):
         if np.any(code_shown):

@@ -74,6 +74,7 @@ def station_plan_to_msg(plan: StationPlan, stamp_s: float = 0.0) -> messages.Sta
         proven_optimal=bool(plan.proven_optimal),
         reached_ratio=float(plan.reached_ratio),
         robust_ratio=float(plan.robust_ratio),
+        marker_quality=float(plan.marker_quality),
         tracker=_tracker_to_msg(plan.T_map_tracker),
         skipped=skipped_to_msg(plan.skipped),
         plan_hash=station_hash(plan),
@@ -107,6 +108,7 @@ def station_plan_from_msg(msg: messages.StationPlan) -> StationPlan:
         proven_optimal=msg.proven_optimal,
         reached_ratio=msg.reached_ratio,
         robust_ratio=msg.robust_ratio,
+        marker_quality=msg.marker_quality,
         T_map_tracker=_tracker_from_msg(msg.tracker),
         skipped=skipped_from_msg(msg.skipped),
     )
