@@ -28,6 +28,7 @@ from skinplan.robot.cell import CellConfig
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan.scanner.predict import predict_coverage
 from skinplan.scanner.samples import sample_surface
+from skinplan.stations.marker_view import MARGIN, MarkerView
 from skinplan.stations.plan import plan_stations
 from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import inverse
@@ -184,12 +185,38 @@ def test_station_service_and_library_have_one_hash(
     asked = scan_path_from_msg(path)
     # The pose as the service gets it: a quaternion is not quite the matrix it was made of.
     T_map_workpiece = pose_from_msg(request.pose.pose)
-    wanted = plan_stations(asked, T_map_workpiece, mesh, settings, CellConfig())
+    markers = MarkerView(part.fixture)
+    wanted = plan_stations(asked, T_map_workpiece, mesh, settings, CellConfig(), markers=markers)
+    assert answer.plan.marker_quality == pytest.approx(0.85 + MARGIN)
     assert answer.plan.strategy == strategy
     assert answer.plan.plan_hash == station_hash(wanted)
     assert answer.plan.lower_bound == wanted.lower_bound
     assert answer.plan.reached_ratio == wanted.reached_ratio
     assert answer.plan.robust_ratio == pytest.approx(wanted.robust_ratio, nan_ok=True)
+
+
+def test_a_station_planner_asks_for_markers_as_its_parameters_say(
+    part: Part, path: messages.ScanPath, tmp_path: Path
+) -> None:
+    # By this cell's figures no place is near enough.
+    cell = tmp_path / "cell.yaml"
+    cell.write_text("quality: {distance_min_m: 0.2}\n", encoding="utf-8")
+    request = PlanStations.Request(part=reference(part), path=path, strategy="rectangles")
+    request.pose = pose_stamped_to_msg(part.T_map_workpiece, "map")
+
+    def asked(**parameters: Any) -> PlanStations.Response:
+        bench = Bench()
+        try:
+            bench.start(StationPlanner, simulated=False, cell_file=str(cell), **parameters)
+            return bench.call(PlanStations, "plan_stations", request)
+        finally:
+            bench.close()
+
+    refused = asked(quality_threshold=0.9, marker_quality_margin=0.09)
+    assert refused.status.code == Status.NO_CANDIDATES and not refused.plan.stations
+    assert "E >= 0.990 (T_E 0.900 and a margin of 0.090)" in refused.status.message
+    free = asked(markers_needed=False)
+    assert free.status.code == Status.OK and np.isnan(free.plan.marker_quality)
 
 
 def test_stations_reach_the_points(
