@@ -196,6 +196,12 @@ def plan(
         Path | None,
         typer.Option(help="Plan only what this run (its folder, or a PLY cloud) left out."),
     ] = None,
+    without_markers: Annotated[
+        bool,
+        typer.Option(
+            "--without-markers", help="The part's place is known: no station has to see markers."
+        ),
+    ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for the plan's JSON files.")] = None,
     view: Annotated[
         bool, typer.Option("--view", help="Write pictures to --out, or else to plan-PART/.")
@@ -222,7 +228,9 @@ def plan(
         if animate:
             _require_motion(until)
         with console.progress_bar(f"plan {asked.id}") as progress:
-            made = plan_part(asked, config, progress, until=until, seen=seen)
+            made = plan_part(
+                asked, config, progress, until=until, seen=seen, markers=not without_markers
+            )
         summary = made.summary()
         if out is not None:
             made.write(out)

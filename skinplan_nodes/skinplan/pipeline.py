@@ -193,6 +193,7 @@ def plan_part(
     is_cancelled: Callable[[], bool] | None = None,
     until: str = STAGES[-1],
     seen: Array | None = None,
+    markers: bool = True,
 ) -> Plan:
     """Plans a part at its nominal place, from the mesh to the timed trajectories.
 
@@ -204,6 +205,7 @@ def plan_part(
         until: Last stage wanted, ``scan_path`` or a later one of `STAGES`.
         seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]: only what they
             leave out is planned; None = the whole part.
+        markers: Whether the camera has to see the part's markers from each station.
 
     Returns:
         The plan, up to the stage asked for.
@@ -244,7 +246,7 @@ def plan_part(
             cell,
             stages.within("stations"),
             is_cancelled,
-            MarkerView(part.fixture),
+            MarkerView(part.fixture) if markers else None,
         ),  # fmt: skip
     )
     planned = replace(planned, station_plan=station_plan)

@@ -64,6 +64,18 @@ def test_check_says_size_and_findings(tmp_path):
     assert document["triangles"] == 192
 
 
+def test_a_part_that_no_station_locates_is_planned_without_markers_only(tmp_path):
+    # By these figures no place is near enough.
+    (tmp_path / "cell.yaml").write_text("quality: {distance_min_m: 0.2, threshold: 0.97}\n")
+    arguments = ("plan", flat_mesh(tmp_path), "--cell", tmp_path / "cell.yaml", "--json")
+    arguments += ("--strategy", "published", "--stations", "rectangles", "--until", "stations")
+    refused = invoke(*arguments)
+    assert refused.exit_code != 0 and "E >= 0.985" in refused.output
+    planned = invoke(*arguments, "--without-markers")
+    assert planned.exit_code == 0
+    assert json.loads(planned.stdout)["stations"]["marker_quality"] is None
+
+
 def test_plan_of_a_bare_mesh_in_millimetres(tmp_path):
     mesh = flat_mesh(tmp_path, scale=1000.0)
     result = invoke("plan", mesh, "--unit", "mm", "--out", tmp_path / "plan", "--json")
