@@ -195,30 +195,6 @@ def test_station_service_and_library_have_one_hash(
     assert answer.plan.robust_ratio == pytest.approx(wanted.robust_ratio, nan_ok=True)
 
 
-def test_a_station_planner_asks_for_markers_as_its_parameters_say(
-    part: Part, path: messages.ScanPath, tmp_path: Path
-) -> None:
-    # By this cell's figures no place is near enough.
-    cell = tmp_path / "cell.yaml"
-    cell.write_text("quality: {distance_min_m: 0.2}\n", encoding="utf-8")
-    request = PlanStations.Request(part=reference(part), path=path, strategy="rectangles")
-    request.pose = pose_stamped_to_msg(part.T_map_workpiece, "map")
-
-    def asked(**parameters: Any) -> PlanStations.Response:
-        bench = Bench()
-        try:
-            bench.start(StationPlanner, simulated=False, cell_file=str(cell), **parameters)
-            return bench.call(PlanStations, "plan_stations", request)
-        finally:
-            bench.close()
-
-    refused = asked(quality_threshold=0.9, marker_quality_margin=0.09)
-    assert refused.status.code == Status.NO_CANDIDATES and not refused.plan.stations
-    assert "E >= 0.990 (T_E 0.900 and a margin of 0.090)" in refused.status.message
-    free = asked(markers_needed=False)
-    assert free.status.code == Status.OK and np.isnan(free.plan.marker_quality)
-
-
 def test_stations_reach_the_points(
     bench: Bench, path: messages.ScanPath, plan: messages.StationPlan
 ) -> None:
