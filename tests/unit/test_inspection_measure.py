@@ -4,6 +4,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
@@ -130,6 +131,21 @@ def test_points_on_triangles_as_large_as_the_spacing_find_their_own() -> None:
     mesh = grid(0.6, 0.4, 0.0068, bumps)
     points = measured(mesh, np.random.default_rng(0), 60_000)
     assert index_of(mesh).closest(points).distance.max() < 1e-9
+
+
+def test_points_about_a_box_of_large_triangles_are_as_far_off_as_they_are() -> None:
+    half = np.array([0.1, 0.06, 0.04])
+    box = trimesh.creation.box(2.0 * half)
+    mesh = SurfaceMesh(np.asarray(box.vertices), np.asarray(box.faces, dtype=np.int64))
+    points = np.random.default_rng(8).uniform(-1.5, 1.5, (5000, 3)) * half
+    beyond = np.abs(points) - half
+    inside = np.all(beyond < 0.0, axis=1)
+    away = np.linalg.norm(np.maximum(beyond, 0.0), axis=1)
+    found = index_of(mesh).closest(points)
+    np.testing.assert_allclose(
+        found.distance, np.where(inside, -beyond.max(axis=1), away), atol=1e-12
+    )
+    np.testing.assert_array_equal(found.signed(points) < 0.0, inside)
 
 
 def test_a_mesh_without_faces_has_no_closest_point() -> None:

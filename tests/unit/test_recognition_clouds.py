@@ -85,6 +85,20 @@ def test_thinning_keeps_one_point_to_a_cell_and_spreading_an_even_density() -> N
         thinned(points, 0.0)
 
 
+def test_thinning_keeps_the_point_nearest_the_middle_of_its_cell_the_first_of_equals() -> None:
+    side = 0.25
+    # Multiples of a sixteenth: distances are exact, and many are equal.
+    points = np.random.default_rng(6).integers(-16, 16, (3000, 3)) / 16.0
+    cells = np.floor(points / side)
+    off = np.sum((points / side - cells - 0.5) ** 2, axis=1)
+    brute: dict[tuple[float, ...], int] = {}
+    for number, cell in enumerate(map(tuple, cells)):
+        if cell not in brute or off[number] < off[brute[cell]]:
+            brute[cell] = number
+    assert thinned(points, side).tolist() == sorted(brute.values())
+    assert thinned(points[:1], side).tolist() == [0]
+
+
 def test_the_crowd_is_what_brute_force_counts() -> None:
     points = np.random.default_rng(4).uniform(-0.02, 0.02, (500, 3))
     chosen, side = np.arange(0, 500, 7), 0.006

@@ -108,8 +108,7 @@ class SurfaceIndex:
     ) -> tuple[Array, NDArray[np.int64], Array, Array, NDArray[np.bool_], NDArray[np.int64]]:
         count = min(_CANDIDATES, len(self._faces))
         _, near = self._tree.query(points, k=count)
-        faces = self._faces[near.reshape(len(points), count)]
-        best = self._best(points, faces)
+        best = self._best(points, _once(self._faces[near.reshape(len(points), count)]))
         self._walk(points, best)
         on_edge = best.weights < _ON_EDGE
         return (
@@ -122,23 +121,24 @@ class SurfaceIndex:
         )
 
     def _best(self, points: Array, faces: NDArray[np.int64]) -> "_Found":
-        """Chooses among candidate faces, shape (n, k); -1 = none."""
-        known = np.maximum(faces, 0)
-        found, weights = self._triangles.closest(points[:, None, :], known)
-        away = points[:, None, :] - found
-        distance = np.linalg.norm(away, axis=2)
+        """Chooses among candidate faces, shape (n, k); -1 = none, each point has one at least."""
+        row, column = np.nonzero(faces >= 0)
+        known = faces[row, column]
+        found, weights = self._triangles.closest(points[row], known)
+        away = points[row] - found
+        distance = np.linalg.norm(away, axis=1)
         # At an edge several faces are equally near: the one that looks most toward the point gives
         # the right sign.
-        facing = np.abs(np.einsum("nkj,nkj->nk", away, self.mesh.face_normals[known]))
-        rank = np.where(faces >= 0, distance - 1e-6 * facing, np.inf)
-        best = np.argmin(rank, axis=1)
-        row = np.arange(len(points))
+        facing = np.abs(np.einsum("ij,ij->i", away, self.mesh.face_normals[known]))
+        rank = np.full(faces.shape, np.inf)
+        rank[row, column] = distance - 1e-6 * facing
+        number = np.zeros(faces.shape, dtype=np.int64)
+        number[row, column] = np.arange(len(row))
+        of_point = np.arange(len(points))
+        column = np.argmin(rank, axis=1)
+        best = number[of_point, column]
         return _Found(
-            found[row, best],
-            known[row, best],
-            weights[row, best],
-            distance[row, best],
-            rank[row, best],
+            found[best], known[best], weights[best], distance[best], rank[of_point, column]
         )
 
     def _walk(self, points: Array, best: "_Found") -> None:
@@ -189,6 +189,14 @@ def edge_neighbours(mesh: SurfaceMesh) -> NDArray[np.int64]:
     return across.reshape(-1, 3)
 
 
+def _once(faces: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Returns candidates, shape (n, k), with -1 for those that stand farther left, too."""
+    result = faces.copy()
+    for k in range(1, faces.shape[1]):
+        result[np.any(faces[:, k : k + 1] == faces[:, :k], axis=1), k] = -1
+    return result
+
+
 class _Triangles:
     """Closest point of triangles, vectorised.
 
@@ -208,24 +216,24 @@ class _Triangles:
         )
 
     def closest(self, points: Array, faces: NDArray[np.int64]) -> tuple[Array, Array]:
-        """Returns closest points and barycentric coordinates, shapes (n, k, 3).
+        """Returns closest points and barycentric coordinates, shapes (n, 3).
 
-        For points of shape (n, 1, 3) and faces of shape (n, k).
+        For points of shape (n, 3) and as many faces, shape (n,).
         """
         weights = self._inside(points, faces)
-        n, k = np.nonzero(np.min(weights, axis=2) < 0.0)
-        weights[n, k] = self._on_edges(points[n, 0], faces[n, k])
-        return np.einsum("nkc,nkcj->nkj", weights, self._corners[faces]), weights
+        beside = np.flatnonzero(np.min(weights, axis=1) < 0.0)
+        weights[beside] = self._on_edges(points[beside], faces[beside])
+        return np.einsum("nc,ncj->nj", weights, self._corners[faces]), weights
 
     def _inside(self, points: Array, faces: NDArray[np.int64]) -> Array:
         relative = points - self._corners[faces, 0]
-        d1 = np.einsum("nkj,nkj->nk", relative, self._ab[faces])
-        d2 = np.einsum("nkj,nkj->nk", relative, self._ac[faces])
-        bb, bc, cc = np.moveaxis(self._dots[faces], 2, 0)
+        d1 = np.einsum("nj,nj->n", relative, self._ab[faces])
+        d2 = np.einsum("nj,nj->n", relative, self._ac[faces])
+        bb, bc, cc = self._dots[faces].T
         area = np.maximum(bb * cc - bc * bc, 1e-300)
         v = (cc * d1 - bc * d2) / area
         w = (bb * d2 - bc * d1) / area
-        return np.stack([1.0 - v - w, v, w], axis=2)
+        return np.stack([1.0 - v - w, v, w], axis=1)
 
     def _on_edges(self, points: Array, faces: NDArray[np.int64]) -> Array:
         corners = self._corners[faces]

@@ -117,7 +117,8 @@ class _Registration:
         self._chosen = Choice(cloud, index, self._to_part, 10 * settings.points, spacing)
         self._points = self._chosen.even
         self._border = Border(index.mesh)
-        self._ends = self._points[cloud_ends(self._points)]
+        no_ends = np.zeros((0, 3))
+        self._ends = no_ends if self._border.empty else self._points[cloud_ends(self._points)]
         self._strip: Array | None = None
         self._stretch_m = 0.0
         self._centre = np.median(self._points, axis=0)

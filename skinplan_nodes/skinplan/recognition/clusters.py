@@ -32,13 +32,18 @@ def thinned(points: Array, spacing_m: float) -> NDArray[np.int64]:
         return np.zeros(0, dtype=np.int64)
     scaled = points / spacing_m
     cells = np.floor(scaled)
-    off = np.sum((scaled - cells - 0.5) ** 2, axis=1)
-    cells = (cells - cells.min(axis=0)).astype(np.int64)
-    sizes = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * sizes[1] + cells[:, 1]) * sizes[2] + cells[:, 2]
-    order = np.lexsort((off, keys))
-    first = np.concatenate([[True], np.diff(keys[order]) > 0])
-    return np.sort(order[first])
+    away = scaled - cells - 0.5
+    off = np.einsum("ij,ij->i", away, away)
+    keys = _keys(cells.astype(np.int64))[0]
+    # Points of a camera lie nearly in order: a stable sort is much faster than lexsort.
+    order = np.argsort(keys, kind="stable")
+    begins = np.flatnonzero(np.diff(keys[order], prepend=-1))
+    counts = np.diff(begins, append=len(keys))
+    off = off[order]
+    nearest = np.flatnonzero(off == np.repeat(np.minimum.reduceat(off, begins), counts))
+    # Where two are equally near, the first of them.
+    first = np.diff(np.repeat(np.arange(len(begins)), counts)[nearest], prepend=-1) > 0
+    return np.sort(order[nearest[first]])
 
 
 def spread(points: Array, spacing_m: float) -> NDArray[np.int64]:
@@ -83,22 +88,29 @@ def crowd(points: Array, chosen: NDArray[np.int64], side_m: float) -> NDArray[np
     """
     if len(points) == 0:
         return np.zeros(0, dtype=np.int64)
-    cells = np.floor(points / side_m).astype(np.int64)
-    cells -= cells.min(axis=0) - 1
-    sizes = cells.max(axis=0) + 2
-    steps = np.array([sizes[1] * sizes[2], sizes[2], 1])
-    keys = cells @ steps
-    known, counts = np.unique(keys, return_counts=True)
+    keys, steps = _keys(np.floor(points / side_m).astype(np.int64))
+    known = np.sort(keys, kind="stable")
     total = np.zeros(len(chosen), dtype=np.int64)
-    # Three cells along the last axis have neighbouring keys: one sum over a range.
-    ends = np.concatenate([[0], np.cumsum(counts)])
+    # Three cells along the last axis have neighbouring keys: one range of the points in order.
     for first in (-1, 0, 1):
         for second in (-1, 0, 1):
             middle = keys[chosen] + first * steps[0] + second * steps[1]
             low = np.searchsorted(known, middle - 1)
             high = np.searchsorted(known, middle + 1, side="right")
-            total += ends[high] - ends[low]
+            total += high - low
     return total
+
+
+def _keys(cells: NDArray[np.int64]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """One number >= 0 for each cell, shape (n, 3), and its step along each axis, shape (3,).
+
+    Cells beside one another along the last axis have neighbouring numbers; there is room for one
+    more cell on all sides.
+    """
+    columns = [column - column.min() + 1 for column in cells.T]
+    sizes = [int(column.max()) + 2 for column in columns]
+    steps = np.array([sizes[1] * sizes[2], sizes[2], 1])
+    return columns[0] * steps[0] + columns[1] * steps[1] + columns[2], steps
 
 
 def clusters(
@@ -154,8 +166,9 @@ def normals(points: Array, seen_from: Array, neighbours: int = 12) -> Array:
     if len(points) < 3:
         raise InputError(f"normals were asked for; 3 points are accepted, found {len(points)}")
     _, near = cKDTree(points).query(points, k=min(neighbours, len(points)))
-    about = points[near] - points[near].mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", about, about))
+    about = points[near]
+    about -= about.mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.swapaxes(about, 1, 2) @ about)
     found = vectors[:, :, 0]
     away = np.einsum("ij,ij->i", found, seen_from - points) < 0.0
     return np.asarray(np.where(away[:, None], -found, found))

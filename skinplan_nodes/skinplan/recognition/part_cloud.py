@@ -126,11 +126,11 @@ def part_cloud(
     points = np.concatenate(list(clouds))
     owner = np.repeat(np.arange(len(clouds)), [len(cloud) for cloud in clouds])
     reach = place.radius_m + settings.gap_m
-    near = np.hypot(*(points[:, :2] - place.middle[:2]).T) < reach
-    near &= between(plane.heights(points), settings.low_m, settings.high_m)
-    chosen = np.flatnonzero(near)
-    few = spread(points[chosen], settings.spacing_m)
-    beside = crowd(points[chosen], few, settings.spacing_m / 2.0)
+    over = np.flatnonzero(between(plane.heights(points), settings.low_m, settings.high_m))
+    chosen = over[np.hypot(*(points[over, :2] - place.middle[:2]).T) < reach]
+    near = points[chosen]
+    few = spread(near, settings.spacing_m)
+    beside = crowd(near, few, settings.spacing_m / 2.0)
     chosen = chosen[few[beside > settings.crowd]]
     groups = clusters(points[chosen], settings.gap_m, settings.fewest, height_weight=0.0)
     if not groups:
