@@ -18,6 +18,7 @@ from skinplan.recognition.fit_model import FitModel, outline_middle
 from skinplan.recognition.global_fit import global_fit
 from skinplan.recognition.part_cloud import PartCloud
 from skinplan.recognition.planes import Plane
+from skinplan.recognition.search import costs, pairs, stepped
 from skinplan.recognition.swarm import SwarmSettings, swarm_fit
 from skinplan.recognition.tray.layout import PlacedPart, resting
 from skinplan.recognition.tray.parts import MAKERS, TWINS, part_mesh
@@ -155,6 +156,39 @@ def test_a_part_with_an_odd_descriptor_is_named_by_its_form(
     assert away < 2e-5 and turned < 1e-4
 
 
+def test_what_is_left_far_behind_changes_no_answer(
+    models: dict[str, trimesh.Trimesh], database: ModelDatabase
+) -> None:
+    rib = placed("rib_right", 0.24, 0.24, 1.1)
+    quick, thorough = (
+        answers(
+            TrayRecognizer(models, database, TraySettings(size_m=SIZE_M, beaten_ratio=ratio)), rib
+        )[0]
+        for ratio in (TraySettings().beaten_ratio, np.inf)
+    )
+    assert quick.name == thorough.name == "rib_right"
+    assert quick.verdict == thorough.verdict and quick.reason == thorough.reason
+    np.testing.assert_array_equal(quick.T_tray_part, thorough.T_tray_part)
+
+
+@pytest.mark.parametrize("reach_m", [0.0005, 0.005, 0.02])
+def test_points_out_of_reach_change_neither_costs_nor_steps(reach_m: float) -> None:
+    part, cloud = lying("angle_clip", 0.3)
+    model, rng = FitModel.of("angle_clip", part.mesh), np.random.default_rng(7)
+    poses = np.repeat(inverse(part.T_tray_part)[None], 20, axis=0)
+    poses[:, :3, 3] += rng.uniform(-0.03, 0.03, (20, 3))
+    some = slice(None, None, 17)
+    near, all_ = (
+        pairs(model, cloud.points[some], cloud.normals[some], poses, reach)
+        for reach in (reach_m, np.inf)
+    )
+    assert np.isinf(near.distance).mean() > 0.1 and np.isfinite(all_.distance).all()
+    np.testing.assert_array_equal(costs(near, reach_m), costs(all_, reach_m))
+    for any_side in (False, True):
+        moved = stepped(near, poses, reach_m, any_side)
+        np.testing.assert_allclose(moved, stepped(all_, poses, reach_m, any_side), atol=1e-12)
+
+
 def test_parts_of_one_shape_are_not_guessed(models: dict[str, trimesh.Trimesh]) -> None:
     same = {"first": models["angle_clip"], "second": models["angle_clip"]}
     database = render_database(same, HEADINGS)
@@ -219,7 +253,10 @@ def test_matches_are_those_of_brute_force(database: ModelDatabase) -> None:
         assert match.distance == pytest.approx(away.min())
         for k, name in enumerate(database.names):
             assert match.distances[name] == pytest.approx(away[database.model == k].min())
-        assert database.match(wanted, MatchSettings(distance_max=1e-6)).name is None
+        unknown = database.match(wanted, MatchSettings(distance_max=1e-6))
+        assert unknown.name is None and unknown.alike == ()
+        known = (match.name,) if match.name is not None else match.alike
+        assert database.alike(unknown.distances, MatchSettings()) == known
     with pytest.raises(InputError, match=r"shape \(308,\)"):
         database.match(np.zeros(5))
     with pytest.raises(InputError, match="at least one view"):

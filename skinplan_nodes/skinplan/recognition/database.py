@@ -124,19 +124,33 @@ class ModelDatabase:
                 f"{settings.distance_max:.3f} is accepted"
             )
             return Match(None, (), rest, least, distances, reason)
-        limit = max(settings.alike_distance, settings.alike_ratio * least)
-        alike = [name for name, distance in distances.items() if distance <= limit]
-        kinds = []
-        for first, second, kind in self.twins:
-            if best in (first, second):
-                alike += [name for name in (first, second) if name not in alike]
-                kinds.append(f"{first} and {second} are {kind}")
+        alike = self.alike(distances, settings)
         if len(alike) > 1:
+            kinds = [
+                f"{first} and {second} are {kind}"
+                for first, second, kind in self.twins
+                if best in (first, second)
+            ]
             why = f" ({'; '.join(kinds)})" if kinds else ""
             reason = f"{' and '.join(alike)} can't be told apart by their descriptors{why}"
-            return Match(None, tuple(alike), rest, least, distances, reason)
+            return Match(None, alike, rest, least, distances, reason)
         reason = f"{best}, {rest}, at a distance of {least:.3f}"
         return Match(best, (), rest, least, distances, reason)
+
+    def alike(self, distances: Mapping[str, float], settings: MatchSettings) -> tuple[str, ...]:
+        """Names of the nearest model, of those about as near, and of its twins.
+
+        Args:
+            distances: Least distance to each model, of a `Match` [1].
+            settings: Which are about as near.
+        """
+        best = min(distances, key=lambda name: distances[name])
+        limit = max(settings.alike_distance, settings.alike_ratio * distances[best])
+        alike = [name for name, distance in distances.items() if distance <= limit]
+        for first, second, _ in self.twins:
+            if best in (first, second):
+                alike += [name for name in (first, second) if name not in alike]
+        return tuple(alike)
 
     def check(self, models: Mapping[str, trimesh.Trimesh]) -> None:
         """Makes sure that the database was made of these models.

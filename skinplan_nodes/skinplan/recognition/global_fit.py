@@ -109,14 +109,61 @@ def global_fit(
 
     Raises:
         NoCloudError: Too few points.
-        AlignmentError: The cloud can't be laid on the model.
+        InputError: Points that are not finite.
+    """
+    settings = settings or GlobalSettings()
+    start = global_start(cloud, model, plane, settings, middles)
+    return exact_fit(cloud, model, start, settings)
+
+
+def global_start(
+    cloud: PartCloud,
+    model: FitModel,
+    plane: Plane,
+    settings: GlobalSettings | None = None,
+    middles: Array | None = None,
+) -> Fit:
+    """Finds where the model lies to about a tenth of a millimetre: `global_fit` without its end.
+
+    Whoever tries several models needs the end for the best ones only.
+
+    Raises:
+        NoCloudError: Too few points.
         InputError: Points that are not finite.
     """
     settings = settings or GlobalSettings()
     enough_points(cloud.points)
     poses, found = _settled(cloud, model, plane, settings, middles)
     other = float(found[1]) if len(found) > 1 else float("inf")
-    return _registered(cloud, model, poses[0], other, plane, settings)
+    most = evenly(len(cloud.points), settings.most)
+    start = _slid(cloud, most, model, poses[0], plane, settings)
+    return Fit(start, _cost(cloud, model, start, settings), other)
+
+
+def exact_fit(
+    cloud: PartCloud, model: FitModel, start: Fit, settings: GlobalSettings | None = None
+) -> Fit:
+    """Lays the model on the cloud by the inspection's registration.
+
+    Args:
+        cloud: Of one part.
+        model: The part.
+        start: Of `global_start`; it is returned where the cloud can't be laid on the model. The
+            verdict names what is wrong with such a pose.
+        settings: How.
+    """
+    settings = settings or GlobalSettings()
+    exact = RegistrationSettings(
+        points=settings.final_points // 2,
+        final_points=settings.final_points,
+        gate_m=0.0005,
+    )
+    try:
+        alignment = register(cloud.points, model.index, start.T_tray_part, exact)
+    except AlignmentError:
+        return start
+    pose = alignment.T_tracker_workpiece
+    return Fit(pose, _cost(cloud, model, pose, settings), start.other_cost_m, alignment)
 
 
 def _settled(
@@ -149,8 +196,8 @@ def _costs(
     T_part_tray: Array,
     settings: GlobalSettings,
 ) -> Array:
-    found = pairs(model, cloud.points[chosen], cloud.normals[chosen], T_part_tray)
-    return costs(found, settings.cut_m)
+    points, normals = cloud.points[chosen], cloud.normals[chosen]
+    return costs(pairs(model, points, normals, T_part_tray, settings.cut_m), settings.cut_m)
 
 
 def _walked(
@@ -163,7 +210,7 @@ def _walked(
 ) -> Array:
     points, normals = cloud.points[chosen], cloud.normals[chosen]
     for scale in scales:
-        found = pairs(model, points, normals, T_part_tray)
+        found = pairs(model, points, normals, T_part_tray, scale)
         T_part_tray = stepped(found, T_part_tray, scale, any_side)
     return T_part_tray
 
@@ -210,28 +257,6 @@ def _different(poses: Array, found: Array, model: FitModel, settings: GlobalSett
     return kept
 
 
-def _registered(
-    cloud: PartCloud,
-    model: FitModel,
-    start: Array,
-    other: float,
-    plane: Plane,
-    settings: GlobalSettings,
-) -> Fit:
+def _cost(cloud: PartCloud, model: FitModel, T_tray_part: Array, settings: GlobalSettings) -> float:
     most = evenly(len(cloud.points), settings.most)
-    start = _slid(cloud, most, model, start, plane, settings)
-    exact = RegistrationSettings(
-        points=settings.final_points // 2,
-        final_points=settings.final_points,
-        gate_m=0.0005,
-    )
-    try:
-        alignment = register(cloud.points, model.index, start, exact)
-    except AlignmentError:
-        # The verdict names what is wrong with such a pose.
-        return Fit(
-            start, float(_costs(cloud, most, model, inverse(start)[None], settings)[0]), other
-        )
-    pose = alignment.T_tracker_workpiece
-    cost = float(_costs(cloud, most, model, inverse(pose)[None], settings)[0])
-    return Fit(pose, cost, other, alignment)
+    return float(_costs(cloud, most, model, inverse(T_tray_part)[None], settings)[0])

@@ -21,8 +21,9 @@ class Pairs:
     Attributes:
         points: shape (p, n, 3) [m].
         normals: Of the surface, shape (p, n, 3).
-        residual: Along them, positive outside, shape (p, n) [m].
-        distance: To the nearest sample or its plane, whichever is less, shape (p, n) [m].
+        residual: Along them, positive outside, shape (p, n) [m]; 0 where nothing was found.
+        distance: To the nearest sample or its plane, whichever is less, shape (p, n) [m]; infinite
+            where nothing was found.
         facing: Whether the cloud's normal looks to the surface's side, shape (p, n).
     """
 
@@ -33,7 +34,9 @@ class Pairs:
     facing: NDArray[np.bool_]
 
 
-def pairs(model: FitModel, points: Array, normals: Array, T_part_tray: Array) -> Pairs:
+def pairs(
+    model: FitModel, points: Array, normals: Array, T_part_tray: Array, reach_m: float
+) -> Pairs:
     """Looks up what the points of a cloud lie on in each of several poses.
 
     Args:
@@ -41,20 +44,25 @@ def pairs(model: FitModel, points: Array, normals: Array, T_part_tray: Array) ->
         points: Tray frame, shape (n, 3) [m].
         normals: shape (n, 3).
         T_part_tray: Poses, shape (p, 4, 4) [m].
+        reach_m: How much farther off a point is than this makes no difference; what it lies beside
+            is not looked for [m].
     """
-    turns, shifts = T_part_tray[:, :3, :3], T_part_tray[:, None, :3, 3]
-    local = np.einsum("pij,nj->pni", turns, points) + shifts
-    up = np.einsum("pij,nj->pni", turns, normals)
-    away, near = model.tree.query(local.reshape(-1, 3))
+    turns = np.swapaxes(T_part_tray[:, :3, :3], 1, 2)
+    local = points @ turns + T_part_tray[:, None, :3, 3]
+    spacing2 = float(model.samples.weights[0])
+    # Points without a sample this near are farther from their plane, too.
+    bound = float(np.sqrt(reach_m**2 + spacing2))
+    away, near = model.tree.query(local.reshape(-1, 3), distance_upper_bound=bound)
     away, near = away.reshape(local.shape[:2]), near.reshape(local.shape[:2])
+    found = np.isfinite(away)
+    near = np.where(found, near, 0)
     surface = model.samples.normals[near]
     residual = np.einsum("pni,pni->pn", local - model.samples.points[near], surface)
     # A point beside a sample, not over an edge, lies on the sample's plane.
     beside = away**2 - residual**2
-    spacing2 = float(model.samples.weights[0])
     distance = np.sqrt(residual**2 + np.maximum(beside - spacing2, 0.0))
-    facing = np.einsum("pni,pni->pn", up, surface) > _SAME_SIDE
-    return Pairs(local, surface, residual, distance, facing)
+    facing = np.einsum("pni,pni->pn", normals @ turns, surface) > _SAME_SIDE
+    return Pairs(local, surface, np.where(found, residual, 0.0), distance, facing)
 
 
 def costs(found: Pairs, cut_m: float) -> Array:
@@ -81,8 +89,9 @@ def stepped(found: Pairs, T_part_tray: Array, scale_m: float, any_side: bool = F
     rows = np.concatenate([np.cross(offset, found.normals), found.normals], axis=2)
     ratio = np.minimum(found.distance / scale_m, 1.0)
     weight = np.where(found.facing | any_side, (1.0 - ratio**2) ** 2, 0.0)
-    matrix = np.einsum("pni,pn,pnj->pij", rows, weight, rows)
-    gradient = np.einsum("pni,pn->pi", rows, weight * found.residual)
+    weighted = np.swapaxes(weight[..., None] * rows, 1, 2)
+    matrix = weighted @ rows
+    gradient = (weighted @ found.residual[..., None])[..., 0]
     # A little damping: what nothing holds stays.
     spread = np.mean(np.sum(offset**2, axis=2), axis=1)
     damping = 1e-5 * np.maximum(weight.sum(axis=1), 1.0)

@@ -31,6 +31,8 @@ class TraySettings:
         alike_ratio: Of several candidates, one whose residual is this many times less than that of
             the others is the part [1].
         alike_m: Residuals below this can't be told apart [m].
+        beaten_ratio: A candidate that still lies this many times worse than one that fits is not
+            laid exactly [1].
         complete_hidden_min: A part below another one shows at least this share of itself [1].
         on_part_hidden_min: At least this share of the points lies on one of overlapping parts [1].
         hidden_grid: So many places to a side are tried for a part below another one.
@@ -47,6 +49,7 @@ class TraySettings:
     edge_m: float = 0.003
     alike_ratio: float = 2.0
     alike_m: float = 1e-4
+    beaten_ratio: float = 4.0
     complete_hidden_min: float = 0.6
     on_part_hidden_min: float = 0.5
     hidden_grid: int = 3

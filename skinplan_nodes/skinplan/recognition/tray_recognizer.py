@@ -12,7 +12,7 @@ from skinplan.errors import NoCloudError
 from skinplan.inspection.points import checked_points, evenly
 from skinplan.recognition.database import RESTS, Match, ModelDatabase
 from skinplan.recognition.fit_model import FitModel
-from skinplan.recognition.global_fit import Fit, global_fit
+from skinplan.recognition.global_fit import Fit, exact_fit, global_fit, global_start
 from skinplan.recognition.part_cloud import PartCloud, Place, part_cloud, places
 from skinplan.recognition.planes import Plane, find_plane
 from skinplan.recognition.swarm import swarm_fit
@@ -108,7 +108,7 @@ class TrayRecognizer:
         located = self._located(cloud, plane, names)
         if located and located[0].verdict.grade != FAILED:
             return self._named(located, match, plane)
-        if self._is_mixed(located) and (found := self._by_form(cloud, plane, match)):
+        if self._is_mixed(located) and (found := self._by_form(cloud, plane, match, bool(located))):
             return found
         if located:
             best = located[0]
@@ -130,21 +130,38 @@ class TrayRecognizer:
         return bool(np.any(low < edge) or np.any(high > np.array(self._settings.size_m) - edge))
 
     def _located(self, cloud: PartCloud, plane: Plane, names: Sequence[str]) -> list[Located]:
-        found = [self._laid(cloud, plane, name) for name in names]
+        """Lays models on the cloud, the best first."""
+        starts = [(name, self._start(cloud, plane, name)) for name in names]
+        found: list[Located] = []
+        for name, start in sorted(starts, key=lambda each: each[1].cost_m):
+            # What another one that fits has left far behind need not be laid exactly.
+            beaten = any(
+                other.verdict.grade != FAILED
+                and start.cost_m > self._settings.beaten_ratio * other.fit.cost_m
+                for other in found
+            )
+            fit = start if beaten else self._exact(cloud, name, start)
+            found.append(self._judged(cloud, name, fit))
         return sorted(found, key=lambda each: (each.verdict.grade == FAILED, each.fit.cost_m))
 
-    def _laid(
-        self, cloud: PartCloud, plane: Plane, name: str, middles: Array | None = None
-    ) -> Located:
+    def _start(self, cloud: PartCloud, plane: Plane, name: str) -> Fit:
         settings, model = self._settings, self._models[name]
-        if settings.registration == "pso" and middles is None:
+        if settings.registration == "pso":
             swarm = swarm_fit(cloud, model, plane, settings.seed, settings.swarm)
-            fit = Fit(swarm.T_tray_part, swarm.mean_distance_m, float("inf"))
-        else:
-            fit = global_fit(cloud, model, plane, settings.search, middles)
-        costs = fit.cost_m, fit.other_cost_m
-        pose, alignment = fit.T_tray_part, fit.alignment
-        return Located(name, fit, judge(cloud, model, pose, costs, alignment, settings.verdict))
+            return Fit(swarm.T_tray_part, swarm.mean_distance_m, float("inf"))
+        return global_start(cloud, model, plane, settings.search)
+
+    def _exact(self, cloud: PartCloud, name: str, start: Fit) -> Fit:
+        if self._settings.registration == "pso":
+            return start
+        return exact_fit(cloud, self._models[name], start, self._settings.search)
+
+    def _judged(self, cloud: PartCloud, name: str, fit: Fit) -> Located:
+        model, costs = self._models[name], (fit.cost_m, fit.other_cost_m)
+        limits = self._settings.verdict
+        return Located(
+            name, fit, judge(cloud, model, fit.T_tray_part, costs, fit.alignment, limits)
+        )
 
     def _named(self, located: list[Located], match: Match, plane: Plane) -> TrayPart:
         best = located[0]
@@ -178,12 +195,20 @@ class TrayRecognizer:
         rests = self._models[located.name].rests
         return max(RESTS, key=lambda name: float(up @ rests[name].T[:, 2]))
 
-    def _by_form(self, cloud: PartCloud, plane: Plane, match: Match) -> TrayPart | None:
+    def _by_form(
+        self, cloud: PartCloud, plane: Plane, match: Match, tried: bool
+    ) -> TrayPart | None:
         """The answer of registration alone, where the descriptor has none that holds.
 
         A model that explains all of the cloud is the part, however odd the descriptor: thinning
         may have taken one side of a thin sheet. One that explains much of it lies below something.
+        Most often it is the nearest one, and the others need not be tried; `tried` says that it was
+        laid on the cloud already and failed.
         """
+        near = () if tried else self._database.alike(match.distances, self._settings.match)
+        located = self._located(cloud, plane, near)
+        if located and located[0].verdict.grade != FAILED:
+            return self._named(located, match, plane)
         found = self._everywhere(cloud, plane)
         whole = [each.name for each in found if each.verdict.grade != FAILED]
         located = self._located(cloud, plane, whole)
@@ -198,7 +223,12 @@ class TrayRecognizer:
         shares = (np.arange(count) + 0.5) / count
         grid = np.stack(np.meshgrid(shares, shares, [0.0]), axis=-1).reshape(-1, 3)
         middles = low + grid * (high - low)
-        return [self._laid(cloud, plane, name, middles) for name in self._models]
+        return [
+            self._judged(
+                cloud, name, global_fit(cloud, model, plane, self._settings.search, middles)
+            )
+            for name, model in self._models.items()
+        ]
 
     def _hidden(self, cloud: PartCloud, found: list[Located], match: Match) -> TrayPart | None:
         """The answer when one known part explains much of the cloud, but not all of it."""
