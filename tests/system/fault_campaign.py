@@ -2,6 +2,7 @@
 
 ``PYTHONPATH=tests .venv/bin/python -m system.fault_campaign --out table.md`` runs every fault at
 every state with three seeds, which takes hours; ``--faults``, ``--states`` and ``--seeds`` choose.
+``--show table.md ...`` prints tables that were written as one: faults by states.
 ``full_disk`` needs a file system of its own, for instance
 
     unshare -m sh -c 'mount -t tmpfs -o size=1G tmpfs /mnt && exec "$@"' sh python ... --disk /mnt
@@ -12,9 +13,10 @@ import json
 import os
 import random
 import shutil
+import sys
 import tempfile
 import time
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -119,10 +121,20 @@ class Row:
         return f"| {what} | {figures} |"
 
 
-HEAD = (
-    "| fault | state | seed | end | interruptions | area | moved while stopped | bag messages | "
-    "wall [s] | after the fault [s] | stated [s] |\n|---|---|---|---|---|---|---|---|---|---|---|"
+HEAD_NAMES = (
+    "fault",
+    "state",
+    "seed",
+    "end",
+    "interruptions",
+    "area",
+    "moved while stopped",
+    "bag messages",
+    "wall [s]",
+    "after the fault [s]",
+    "stated [s]",
 )
+HEAD = "| " + " | ".join(HEAD_NAMES) + " |\n" + "|---" * len(HEAD_NAMES) + "|"
 
 
 class Timetable(NamedTuple):
@@ -295,6 +307,31 @@ def keep(cell: ServedCell, number: int, seed: int) -> None:
             shutil.copytree(folder, place / folder.name, ignore=shutil.ignore_patterns("*.ply"))
 
 
+def shown(tables: Iterable[Path]) -> str:
+    """Returns written tables as one of faults by states.
+
+    A number is how long a job took from the fault to its end [s], when it was Ended; one that was
+    Aborted has its code, too.
+    """
+    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    for table in tables:
+        for line in table.read_text(encoding="utf-8").splitlines():
+            cells = [cell.strip() for cell in line.split("|")[1:]]
+            if len(cells) < len(HEAD_NAMES) or cells[0] in ("fault", "---"):
+                continue
+            values = dict(zip(HEAD_NAMES, cells, strict=False))
+            end, _, code = values["end"].partition(" ")
+            text = values["after the fault [s]"] + (f" ({code})" if end == "Aborted" else "")
+            bad = "**bad**" in line or end not in ("Ended", "Aborted")
+            found[values["fault"], values["state"]].append(f"**{text}**" if bad else text)
+    lines = ["| fault | " + " | ".join(STATES) + " |", "|---" * (len(STATES) + 1) + "|"]
+    for fault in FAULTS:
+        cells = [", ".join(found[fault, state]) for state in STATES]
+        if any(cells):
+            lines.append(f"| {fault} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Runs the campaign and writes the table."""
     parser = argparse.ArgumentParser(description=__doc__)
@@ -303,8 +340,12 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="*", type=int, default=[1, 2, 3])
     parser.add_argument("--disk", type=Path, help="file system of its own, for full_disk")
     parser.add_argument("--time-factor", default=FACTOR)
-    parser.add_argument("--out", type=Path, required=True)
+    parser.add_argument("--out", type=Path, default=Path("fault_campaign.md"))
+    parser.add_argument("--show", nargs="+", type=Path, help="written tables; nothing is run")
     given = parser.parse_args()
+    if given.show:
+        sys.stdout.write(shown(given.show) + "\n")
+        return
     if given.disk is None:
         given.faults = [fault for fault in given.faults if fault != FULL_DISK]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
