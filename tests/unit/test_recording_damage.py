@@ -201,6 +201,7 @@ def test_damage_of_every_kind(tmp_path: Path, seed: int) -> None:
 
 
 @pytest.mark.long
+@pytest.mark.timeout(1800)
 def test_five_thousand_damaged_files(tmp_path: Path) -> None:
     check_damaged(tmp_path, seed=2, count=5000)
 
