@@ -65,6 +65,20 @@ def test_fixture_placement_and_scan_may_be_left_out(part):
     assert len(again.fixture.markers) == len(part.fixture.markers)
 
 
+def test_a_fixture_may_have_no_markers(part, tmp_path):
+    def edit(values):
+        pose = values["fixture"]["pose_in_workpiece"]
+        values["fixture"] = {"markers": "none", "pose_in_workpiece": pose}
+
+    bare = load_part(edited(part, edit))
+    assert bare.fixture.markers == () and bare.fixture.dictionary == ""
+    again = load_part(save_part(bare, tmp_path / "again.yaml"))
+    assert again.fixture.markers == () and "dictionary" not in again.source.read_text()
+    np.testing.assert_allclose(
+        again.fixture.T_workpiece_fixture, part.fixture.T_workpiece_fixture, atol=1e-11
+    )
+
+
 @pytest.mark.parametrize(
     ("edit", "words"),
     [
@@ -96,6 +110,12 @@ def test_fixture_placement_and_scan_may_be_left_out(part):
         (lambda v: v["mesh"].update(unit="yard"), ["mesh.unit", "yard", "inch"]),
         (lambda v: v["fixture"].update(dictionary="DICT_9X9_3"), ["DICT_9X9_3", "DICT_5X5_100"]),
         (lambda v: v["fixture"].update(markers=[]), ["fixture.markers", "at least one"]),
+        (lambda v: v["fixture"].update(markers=None), ["fixture.markers", "nothing", "word none"]),
+        (lambda v: v["fixture"].update(markers="no"), ["fixture.markers", "'no'", "word none"]),
+        (
+            lambda v: v["fixture"].update(markers="none"),
+            ["fixture.dictionary", "'DICT_5X5_100' beside markers: none", "or neither of them"],
+        ),
         (lambda v: v["fixture"]["markers"][1].update(id=0), ["[0, 0]", "every id once"]),
         (lambda v: v["fixture"]["markers"][0].update(id=100), ["markers[0].id", "100"]),
         (lambda v: v["placement"].update(rotation_xyzw=[0, 0, 0, 2]), ["placement.rotation_xyzw"]),

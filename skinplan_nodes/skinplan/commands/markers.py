@@ -37,6 +37,11 @@ def markers(
     """Write printable sheets of a fixture's markers at true scale, with a ruler to check."""
     with console.command(as_json):
         fixture = _fixture_of(source)
+        if not fixture.markers:
+            raise PartInvalidError(
+                f"sheets were asked for, but {source} says that its fixture has no markers; a "
+                "fixture with markers is accepted"
+            )
         known = [marker.id for marker in fixture.markers]
         unknown = sorted(set(only or ()) - set(known))
         if unknown:

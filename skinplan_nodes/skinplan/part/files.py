@@ -18,7 +18,8 @@ Units are in the keys; unknown keys are refused.
       pose_in_workpiece:             # T_workpiece_fixture; left out: fixture = workpiece
         translation_m: [0, -0.5, 0]
         rotation_xyzw: [0, 0, 0, 1]  # left out: no rotation
-      markers:                       # required, at least one
+      markers:                       # required: at least one, or the word none (and no
+          dictionary): the part is then located by its shape
         - id: 0                      # required, unique
           size_m: 0.10               # required; side of the black square
           pose_in_fixture:           # required; T_fixture_marker (x right, y up, z out of the
@@ -50,7 +51,7 @@ from skinplan.mesh.load import UNITS_M, file_sha256, load_mesh
 from skinplan.mesh.model import SurfaceMesh
 from skinplan.part.defaults import default_fixture, default_placement
 from skinplan.part.fields import Fields, pose_fields
-from skinplan.part.fixture_file import read_fixture, read_yaml
+from skinplan.part.fixture_file import fixture_fields, read_fixture, read_yaml
 from skinplan.part.inspection_plan import InspectionPlan, plan_fields, read_plan
 from skinplan.part.inspection_points import InspectionPoints
 from skinplan.part.model import Part, ScanSettings
@@ -144,18 +145,7 @@ def save_part(part: Part, path: Path | str) -> Path:
             "sha256": part.mesh_sha256,
         },
         **({} if part.points is None else {"points": _points_file(file).name}),
-        "fixture": {
-            "dictionary": part.fixture.dictionary,
-            "pose_in_workpiece": pose_fields(part.fixture.T_workpiece_fixture),
-            "markers": [
-                {
-                    "id": marker.id,
-                    "size_m": marker.size_m,
-                    "pose_in_fixture": pose_fields(marker.T_fixture_marker),
-                }
-                for marker in part.fixture.markers
-            ],
-        },
+        "fixture": fixture_fields(part.fixture),
         "placement": pose_fields(part.T_map_workpiece),
         "scan": settings_fields(part.scan),
         **(

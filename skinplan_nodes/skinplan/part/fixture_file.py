@@ -1,11 +1,11 @@
-"""Fixture files: which markers are where on what holds the part."""
+"""Fixture files: which markers are where on what holds the part, or that it has none."""
 
 from pathlib import Path
 
 import yaml
 
 from skinplan.errors import PartInvalidError, PartNotFoundError
-from skinplan.part.fields import Fields
+from skinplan.part.fields import Fields, pose_fields
 from skinplan.part.model import Fixture, Marker
 from skinplan.transforms import transform
 
@@ -23,6 +23,8 @@ MARKER_COUNTS = {
     "DICT_ARUCO_MIP_36h12": 250,
 }
 _KEYS = ("dictionary", "pose_in_workpiece", "markers")
+#: Stands for the list of markers where there are none.
+NO_MARKERS = "none"
 _LARGEST_FILE_BYTES = 1_000_000
 
 
@@ -46,6 +48,8 @@ def read_fixture(fields: Fields, folder: Path) -> Fixture:
 def load_fixture(path: Path | str) -> Fixture:
     """Reads a fixture file: ``dictionary``, ``markers`` with ``id``, ``size_m`` and pose.
 
+    A fixture without markers says ``markers: none`` and has no dictionary.
+
     Raises:
         PartNotFoundError: No such file.
         PartInvalidError: A key is unknown or missing, or a value is out of range.
@@ -54,14 +58,47 @@ def load_fixture(path: Path | str) -> Fixture:
     return _fixture(Fields(read_yaml(file, "fixture"), "", file.name, _KEYS))
 
 
+def fixture_fields(fixture: Fixture) -> dict[str, object]:
+    """Returns a fixture in the form in which `read_fixture` reads it."""
+    pose = pose_fields(fixture.T_workpiece_fixture)
+    if not fixture.markers:
+        return {"pose_in_workpiece": pose, "markers": NO_MARKERS}
+    return {
+        "dictionary": fixture.dictionary,
+        "pose_in_workpiece": pose,
+        "markers": [
+            {
+                "id": marker.id,
+                "size_m": marker.size_m,
+                "pose_in_fixture": pose_fields(marker.T_fixture_marker),
+            }
+            for marker in fixture.markers
+        ],
+    }
+
+
 def _fixture(fixture: Fields) -> Fixture:
+    pose = fixture.pose("pose_in_workpiece") if fixture.has("pose_in_workpiece") else transform()
+    entries = fixture.values.get("markers")
+    if entries == NO_MARKERS:
+        if fixture.has("dictionary"):
+            raise fixture.error(
+                "dictionary",
+                f"{str(fixture.values['dictionary'])[:60]!r} beside markers: {NO_MARKERS}",
+                "a dictionary with a list of markers, or neither of them",
+            )
+        return Fixture("", pose, ())
     dictionary = fixture.text("dictionary", "the name of an ArUco dictionary")
     if dictionary not in MARKER_COUNTS:
         raise fixture.error("dictionary", repr(dictionary), f"one of {', '.join(MARKER_COUNTS)}")
-    pose = fixture.pose("pose_in_workpiece") if fixture.has("pose_in_workpiece") else transform()
-    entries = fixture.values.get("markers")
     if not isinstance(entries, list) or not entries:
-        raise fixture.error("markers", "none", "a list of at least one marker")
+        found = "nothing" if not entries else repr(entries)[:60]
+        raise fixture.error(
+            "markers",
+            found,
+            f"a list of at least one marker, or the word {NO_MARKERS} where there are none and "
+            "the part is located by its shape",
+        )
     markers = tuple(
         _read_marker(
             entry, fixture.path(f"markers[{number}]"), fixture.source, MARKER_COUNTS[dictionary]

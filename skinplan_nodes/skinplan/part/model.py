@@ -30,9 +30,10 @@ class Fixture:
     """What holds the part and carries the markers (M1.1, frames F and QR).
 
     Attributes:
-        dictionary: Name of the ArUco dictionary, as OpenCV writes it (``DICT_5X5_100``).
+        dictionary: Name of the ArUco dictionary, as OpenCV writes it (``DICT_5X5_100``); empty
+            without markers.
         T_workpiece_fixture: Fixture frame in the workpiece, shape (4, 4) [m].
-        markers: At least one marker, ids unique.
+        markers: Markers, ids unique; empty = there are none, the part is located by its shape.
     """
 
     dictionary: str
