@@ -205,7 +205,8 @@ def plan_part(
         until: Last stage wanted, ``scan_path`` or a later one of `STAGES`.
         seen: Points that a run has measured, workpiece frame, shape (n, 3) [m]: only what they
             leave out is planned; None = the whole part.
-        markers: Whether the camera has to see the part's markers from each station.
+        markers: Whether the camera has to see the part's markers, if it has any, from each
+            station.
 
     Returns:
         The plan, up to the stage asked for.
@@ -246,7 +247,7 @@ def plan_part(
             cell,
             stages.within("stations"),
             is_cancelled,
-            MarkerView(part.fixture) if markers else None,
+            MarkerView(part.fixture) if markers and part.fixture.markers else None,
         ),  # fmt: skip
     )
     planned = replace(planned, station_plan=station_plan)
