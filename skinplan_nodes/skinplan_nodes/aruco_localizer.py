@@ -16,7 +16,7 @@ from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import Status
 from tf2_msgs.msg import TFMessage
 
-from skinplan.errors import PartMovedError
+from skinplan.errors import PartInvalidError, PartMovedError
 from skinplan.localization.chain import LocatedPart, moved_by
 from skinplan.localization.loop import ApproachLoop, ApproachSettings
 from skinplan.localization.loop_cell import Estimate, View
@@ -177,7 +177,7 @@ class ArucoLocalizer(CellNode):
             self.feed, self._cell, self.values.watch_rate_hz, self.publish_observations, self.ended
         )
         if self.values.watched_part:
-            self._watcher.fixture = load_part(self.values.watched_part).fixture
+            self._watcher.fixture = _with_markers(load_part(self.values.watched_part)).fixture
         self._watcher.start()
 
     def close(self) -> None:
@@ -226,6 +226,7 @@ class ArucoLocalizer(CellNode):
             CameraInfo, "camera/color/camera_info", self.feed.take_info, SENSOR,
             callback_group=camera,
         )  # fmt: skip
+        self.create_subscription(messages.PartPose, "part_pose", self._on_part_pose, LATCHED)
         self.create_subscription(TFMessage, "tf", self._on_tf, STATE, callback_group=moving)
         self.create_subscription(
             TFMessage, "tf_static", self._on_tf, STATIC_TF, callback_group=moving
@@ -234,6 +235,11 @@ class ArucoLocalizer(CellNode):
     def _on_tf(self, msg: TFMessage) -> None:
         for reason in self.frames.take(msg):
             self.get_logger().warning(f"tf: {reason}", throttle_duration_sec=5.0)
+
+    def _on_part_pose(self, message: messages.PartPose) -> None:
+        # Located by its shape: who has done that publishes its frame from now on.
+        if not message.marker_ids:
+            self._T_map_workpiece = None
 
     def _on_goal(self, _: LocalizePart.Goal) -> GoalResponse:
         # What is wrong with a goal is said in its result; a second one has to wait for the first.
@@ -268,7 +274,7 @@ class ArucoLocalizer(CellNode):
         return result
 
     def _localize(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
-        part = self._parts.part(handle.request.part)
+        part = _with_markers(self._parts.part(handle.request.part))
         self._watcher.fixture = part.fixture
         self._watcher.paused = self.feed.wanted = True
         loop = ApproachLoop(
@@ -354,6 +360,20 @@ class ArucoLocalizer(CellNode):
         if pose is not None:
             edge = transform_stamped_to_msg("map", "workpiece", pose, self.now_s())
             self._tf.publish(TFMessage(transforms=[edge]))
+
+
+def _with_markers(part: Part) -> Part:
+    """Returns the part.
+
+    Raises:
+        PartInvalidError: Its fixture has no markers.
+    """
+    if not part.fixture.markers:
+        raise PartInvalidError(
+            f"{part.id} was to be located by markers, but its part file says that its fixture has "
+            "none; a fixture with markers is accepted, or the action locate_part_by_shape"
+        )
+    return part
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -2,6 +2,7 @@
 
 import threading
 import time
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,6 +11,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import CameraInfo, PointCloud2
 from skinplan_msgs.msg import Status
 
+from skinplan.localization.loop import cancelled
 from skinplan.localization.model import CameraModel
 from skinplan.transforms import Array
 from skinplan_nodes.conversions import camera_info_from_msg, scan_frame_from_msg, stamp_from_msg
@@ -50,16 +52,24 @@ class DepthViews:
         self._info: CameraInfo | None = None
         self._clouds: list[PointCloud2] = []
 
-    def take(self, count: int, since_s: float, timeout_s: float) -> DepthView:
+    def take(
+        self,
+        count: int,
+        since_s: float,
+        timeout_s: float,
+        is_cancelled: Callable[[], bool] = lambda: False,
+    ) -> DepthView:
         """Waits for so many images and returns their points.
 
         Args:
             count: Number of images.
             since_s: They are not older than this, cell's clock [s].
             timeout_s: Waits at most so long, wall time [s].
+            is_cancelled: Asked while waiting.
 
         Raises:
             RefusedError: They do not come in time (NO_IMAGE).
+            LocalizationCancelledError: It was cancelled.
             InputError: They can't be read, or are of several frames.
         """
         with self._lock:
@@ -81,7 +91,7 @@ class DepthViews:
             ),
         ]
         try:
-            self._wait(count, timeout_s)
+            self._wait(count, timeout_s, is_cancelled)
         finally:
             for subscription in subscriptions:
                 self._node.destroy_subscription(subscription)
@@ -93,13 +103,15 @@ class DepthViews:
         camera = camera_info_from_msg(info)
         return DepthView(points, frames[0].frame, camera, max(frame.stamp_s for frame in frames))
 
-    def _wait(self, count: int, timeout_s: float) -> None:
+    def _wait(self, count: int, timeout_s: float, is_cancelled: Callable[[], bool]) -> None:
         deadline = time.monotonic() + timeout_s
         while True:
             with self._lock:
                 found, informed = len(self._clouds), self._info is not None
             if found >= count and informed:
                 return
+            if is_cancelled():
+                raise cancelled()
             if time.monotonic() > deadline:
                 raise RefusedError(
                     Status.NO_IMAGE,

@@ -122,7 +122,7 @@ def describe(settings: GraphSettings) -> tuple[NodeSpec, ...]:
         NodeSpec("station_planner", parameters=cell),
         NodeSpec("trajectory_planner", parameters=cell),
         NodeSpec("aruco_localizer", parameters={**cell, **_patience(settings)}),
-        NodeSpec("part_recognizer", required=False, parameters=clock),
+        NodeSpec("part_recognizer", required=False, parameters=cell),
         NodeSpec("scan_inspector", parameters=cell),
         NodeSpec("cell_view", required=False, parameters={**cell, "part_uri": settings.part_uri}),
     ]

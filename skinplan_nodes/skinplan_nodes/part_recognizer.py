@@ -28,11 +28,13 @@ from skinplan_nodes.conversions import (
 from skinplan_nodes.depth_views import DepthViews
 from skinplan_nodes.frame_tree import Frames
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.parameters import Parameter, load
+from skinplan_nodes.parameters import CELL_FILE, Parameter, load
 from skinplan_nodes.part_cache import PartCache
+from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import STATE, STATIC_TF
 from skinplan_nodes.replies import RefusedError, replies_in_thread
 from skinplan_nodes.run import run_node
+from skinplan_nodes.shape_locator import SHAPE_PARAMETERS, ShapeLocator, view_settings
 
 # The tracker looks at the side that is scanned: its origin is outside of every part.
 _TRACKER = np.zeros(3)
@@ -40,10 +42,11 @@ _DEFAULTS, _VIEW = IdentifySettings(), ViewSettings()
 
 
 class PartRecognizer(CellNode):
-    """Serves ``identify_part``; collects ``scanner/points``, looks at depth images when asked."""
+    """Serves ``identify_part`` and ``locate_part_by_shape``; collects ``scanner/points``."""
 
     NAME = "part_recognizer"
     PARAMETERS = (
+        CELL_FILE,
         Parameter("voxel_m", 0.003, "One point is kept per voxel of this side [m].", 1e-4, 0.1),
         Parameter("points_max", 1_000_000, "At most so many points [1].", 1000, 50_000_000),
         Parameter(
@@ -93,6 +96,7 @@ class PartRecognizer(CellNode):
             0.0,
             1.0,
         ),
+        *SHAPE_PARAMETERS,
     )
 
     def __init__(self, **kwargs: Any) -> None:
@@ -117,6 +121,18 @@ class PartRecognizer(CellNode):
             self._on_identify_part,
             callback_group=MutuallyExclusiveCallbackGroup(),
         )
+        self._locator = ShapeLocator(
+            self,
+            configured_cell(self.values.cell_file),
+            self._parts,
+            self._frames,
+            view_settings(self.values),
+        )
+
+    def close(self) -> None:
+        """Ends the search that is being worked on: the base stops, the caller gets an error."""
+        self.asked_to_end.set()
+        self._locator.close()
 
     def _empty_cloud(self) -> MergedCloud:
         return MergedCloud(self.values.voxel_m, self.values.points_max)
@@ -202,7 +218,7 @@ class PartRecognizer(CellNode):
             )
             for name, (part, mesh) in zip(names, candidates, strict=True)
         }
-        fits = fit_view(seen.points, seen.camera, placed, _view_settings(values))
+        fits = fit_view(seen.points, seen.camera, placed, view_settings(values))
         response.residuals = [fit.residual_m for fit in fits.values()]
         response.seen_ratios = [fit.seen_ratio for fit in fits.values()]
         response.fits = [fit.fits for fit in fits.values()]
@@ -231,15 +247,6 @@ class PartRecognizer(CellNode):
     def _on_tf(self, message: TFMessage) -> None:
         for reason in self._frames.take(message):
             self.get_logger().warning(reason, throttle_duration_sec=5.0)
-
-
-def _view_settings(values: Any) -> ViewSettings:
-    """The shares of a scan are judged by other bounds than those of a view."""
-    return ViewSettings(
-        noise_at_1m_m=values.noise_at_1m_m,
-        tolerance_m=values.tolerance_m,
-        seen_ratio_min=values.seen_ratio_min,
-    )
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

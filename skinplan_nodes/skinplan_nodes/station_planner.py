@@ -92,7 +92,8 @@ class StationPlanner(CellNode):
     def _marker_view(self, fixture: Fixture) -> MarkerView | None:
         """What the camera is to see of a part from each station; None = nothing."""
         values = self.values
-        if not values.markers_needed:
+        # A part without markers is located by its shape.
+        if not values.markers_needed or not fixture.markers:
             return None
         return MarkerView(fixture, values.marker_quality_margin, values.quality_threshold)
 

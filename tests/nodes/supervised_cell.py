@@ -209,6 +209,11 @@ class SupervisedCell(Node):
         found.status = _OK
         return found
 
+    def _locate_by_shape(self, handle: Any) -> LocalizePart.Result:
+        result = self._localize(handle)
+        self.calls[-1] = "locate by shape"
+        return result
+
     # --- planners ---
 
     def _on_path(self, request: Any, response: PlanScanPath.Response) -> PlanScanPath.Response:
@@ -310,6 +315,7 @@ class SupervisedCell(Node):
             self._action(FollowJointTrajectory, controller, self._follow),
             self._action(NavigateToPose, "navigate_to_pose", self._navigate),
             self._action(LocalizePart, "localize_part", self._localize),
+            self._action(LocalizePart, "locate_part_by_shape", self._locate_by_shape),
         ]
 
     def _service(self, kind: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:

@@ -17,6 +17,7 @@ from skinplan_msgs.msg import DeviceState, Heartbeat, Job, JobStatus, PartRefere
 from skinplan_msgs.srv import JobCommand, JobGet, JobSubmit
 
 from nodes.bench import Bench
+from nodes.shape_part import write_shape_part
 from nodes.small_part import write_small_part
 from nodes.supervised_cell import HOME, SupervisedCell, joints_of
 from skinplan.part.model import Part
@@ -143,6 +144,13 @@ def test_an_undisturbed_job_passes_every_point_once(run: Callable[..., Run]) -> 
     np.testing.assert_allclose(job.cell.arm.q, HOME, atol=1e-6)
     assert job.cell.bags == ["bag"] and job.cell.calls.count("recorder/stop") == 1
     assert job.cell.inspections == [("frames", False)]
+
+
+def test_a_part_without_markers_is_located_by_its_shape(bench: Bench, tmp_path: Path) -> None:
+    job = Run(bench, tmp_path, write_shape_part(tmp_path / "part"), stations=2)
+    job.supervise().submit().ended()
+    assert job.cell.calls.count("locate by shape") == 3
+    assert "localize" not in job.cell.calls
 
 
 def test_a_pause_holds_in_the_middle_of_a_segment_and_goes_on_there(

@@ -35,6 +35,7 @@ from skinplan_nodes.supervisor.calls import Calls, part_reference
 from skinplan_nodes.supervisor.cell import Located
 from skinplan_nodes.supervisor.control import Request, StepError
 from skinplan_nodes.supervisor.devices import Devices
+from skinplan_nodes.supervisor.identification import RECOGNIZER
 from skinplan_nodes.supervisor.motion import Motion, distance_m
 from skinplan_nodes.supervisor.ros_planners import RosPlanners
 from skinplan_nodes.supervisor.ros_recognizer import RosRecognizer
@@ -198,22 +199,24 @@ class RosCell:
             raise StepError(code, f"the base did not arrive: {result.error_msg}", _BASE)
 
     def localize(self, job: Job, may_move: bool, new_place: bool, quality: float = 0.0) -> Located:
-        """Locates the part."""
+        """Locates the part, by its markers or, where it has none, by its shape."""
+        client, node = self._actions[LocalizePart], "aruco_localizer"
+        if self.recognizer.is_asked_where(job):
+            client, node = self.recognizer.by_shape, RECOGNIZER
         goal = LocalizePart.Goal(
             part=part_reference(job),
             may_move=may_move,
             new_place=new_place,
             quality_threshold=quality,
         )
-        result, reached = self._act(
-            LocalizePart, goal, self._values.localize_timeout_s, "aruco_localizer"
-        )
+        timeout_s = self._values.localize_timeout_s
+        result, reached = self._calls.action(client, goal, timeout_s, node)
         if not reached or result.status.code != Status.OK:
             code = result.status.code if result.status.code > Status.OK else Status.INTERNAL
             raise StepError(
                 code,
                 result.status.message or "the localisation ended without a reason",
-                "aruco_localizer",
+                node,
             )
         found = part_pose_from_msg(result.part_pose)
         self._T_odom_located = self._motion.base_since(found.stamp_s)
@@ -278,7 +281,7 @@ class RosCell:
         self._calls.cancel_all()
         answers = [
             client.cancel_everything_async()
-            for client in self._actions.values()
+            for client in (*self._actions.values(), self.recognizer.by_shape)
             if client.server_is_ready()
         ]
         if stop_devices:

@@ -18,12 +18,14 @@ from skinplan.robot.cell import CellConfig
 from skinplan.trajectory.model import SCAN, Segment, StationTrajectory
 from skinplan_nodes.supervisor import reentry
 from skinplan_nodes.supervisor.bag_parts import BagParts
-from skinplan_nodes.supervisor.cell import Cell
+from skinplan_nodes.supervisor.cell import Cell, Located
 from skinplan_nodes.supervisor.control import StepError
+from skinplan_nodes.supervisor.identification import Identified
 from skinplan_nodes.supervisor.machine import Event
 from skinplan_nodes.supervisor.place import Place, nothing_reached
 from skinplan_nodes.supervisor.progress import Progress
 from skinplan_nodes.supervisor.record import RunRecord
+from skinplan_nodes.supervisor.rough_place import rough_place
 from skinplan_nodes.supervisor.run_data import Round
 
 _NOTHING_MISSING, _NO_CANDIDATES, _NOTHING_REACHED, _NO_TRACKER = 122, 400, 401, 403
@@ -116,14 +118,19 @@ class Steps:
     def identifying(self) -> Event:
         """Makes sure that the part on the fixture is the job's, before the base comes nearer.
 
-        From the work position the camera sees most of the part, and its markers well enough to
-        know how it lies.
+        From the work position the camera sees most of the part, and its markers, or its shape,
+        well enough to know how it lies.
         """
-        rough = self.cell.localize(self.job, may_move=False, new_place=True, quality=_ROUGH)
-        found = self.cell.recognizer.identify(self.job, self.recognition.others, rough)
+        others = self.recognition.others
+        found = rough_place(self._roughly, self.job, others)
+        if not isinstance(found, Identified):
+            found = self.cell.recognizer.identify(self.job, others, found)
         self.record.identified(found)
         found.require()
         return Event.DONE
+
+    def _roughly(self, job: Job) -> Located:
+        return self.cell.localize(job, may_move=False, new_place=True, quality=_ROUGH)
 
     def planning_path(self) -> Event:
         """Plans the scan path, of a re-scan what is missing."""

@@ -1,0 +1,305 @@
+"""Of ``part_recognizer``: the action ``locate_part_by_shape``, for parts without markers."""
+
+import math
+import threading
+from collections.abc import Callable
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.action.server import ServerGoalHandle
+from rclpy.callback_groups import ReentrantCallbackGroup
+from skinplan_msgs.action import LocalizePart
+from skinplan_msgs.msg import PartPose, Status
+from tf2_msgs.msg import TFMessage
+
+from skinplan.errors import NoCloudError
+from skinplan.localization.chain import LocatedPart
+from skinplan.localization.loop import cancelled
+from skinplan.localization.model import WorkpiecePose
+from skinplan.mesh.model import SurfaceMesh
+from skinplan.part.model import Part
+from skinplan.recognition.shape_gate import (
+    GateSettings,
+    judge_shape,
+    shape_quality,
+)
+from skinplan.recognition.shape_pose import ShapePose, ShapeSettings, locate_shape
+from skinplan.recognition.shape_search import ShapeEstimate, ShapeLoop, ShapeLoopSettings
+from skinplan.recognition.view import ViewSettings
+from skinplan.robot.cell import CellConfig
+from skinplan.transforms import Array, inverse
+from skinplan_nodes.base_driver import BaseDriver
+from skinplan_nodes.conversions import (
+    part_pose_to_msg,
+    pose_stamped_to_msg,
+    transform_stamped_to_msg,
+)
+from skinplan_nodes.depth_views import DepthView, DepthViews
+from skinplan_nodes.frame_tree import Frames
+from skinplan_nodes.offload import in_thread
+from skinplan_nodes.parameters import Parameter, load
+from skinplan_nodes.part_cache import PartCache
+from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
+from skinplan_nodes.replies import RefusedError, log_error, ok, status_of
+
+_END_TIMEOUT_S = 8.0
+_SHAPE, _GATE = ShapeSettings(), GateSettings()
+#: Parameters of the action, with a prefix: the node has others of these names.
+SHAPE_PARAMETERS = (
+    Parameter(
+        "reach_m",
+        _SHAPE.reach_m,
+        "By shape: the part stands within this of its nominal place, or of where it was located "
+        "last, the base's own error included [m].",
+        0.0,
+        0.5,
+    ),
+    Parameter("reach_rad", _SHAPE.reach_rad, "... and is turned by no more [rad].", 0.0, 0.2),
+    Parameter(
+        "patch_error_m",
+        _SHAPE.patch_error_m,
+        "By shape: standard deviation of the mean depth of a patch of 40 mm, however many images "
+        "are taken [m].",
+        0.0,
+        0.1,
+    ),
+    Parameter(
+        "position_max_m",
+        _GATE.position_max_m,
+        "By shape: largest error of the part's place that is accepted [m] ...",
+        1e-5,
+        0.1,
+    ),
+    Parameter("angle_max_rad", _GATE.angle_max_rad, "... and of its turn [rad].", 1e-6, 0.1),
+    Parameter("sigmas", _GATE.sigmas, "So many standard deviations are the error [1].", 1.0, 10.0),
+    Parameter("max_attempts", 4, "By shape: estimates at most [1].", 1, 100),
+    Parameter("settle_s", 0.5, "Rest of the base before an image counts [s].", 0.0, 60.0),
+    Parameter("drive_timeout_s", 300.0, "Longest drive on wall time [s].", 1.0, 3600.0),
+    Parameter("tf_rate_hz", 2.0, "Rate of map to workpiece on tf [Hz].", 0.1, 50.0),
+)
+
+
+class ShapeLocator:
+    """Serves ``locate_part_by_shape``; publishes the pose and its frames as the localiser does.
+
+    Args:
+        node: The recognizer.
+        cell: The cell.
+        parts: Parts by reference.
+        frames: The frame tree.
+        view: When a view counts as a part.
+    """
+
+    def __init__(
+        self, node: Any, cell: CellConfig, parts: PartCache, frames: Frames, view: ViewSettings
+    ) -> None:
+        self._node, self._cell, self._parts, self.frames = node, cell, parts, frames
+        self._view, self._values = view, node.values
+        self.depth = DepthViews(node)
+        self.base = BaseDriver(node, node.values.drive_timeout_s)
+        self._busy = threading.Lock()
+        self._T_map_workpiece: Array | None = None
+        self._places: dict[tuple[str, str], Array] = {}
+        self._part_pose = node.create_publisher(PartPose, "part_pose", LATCHED)
+        self._tf = node.create_publisher(TFMessage, "tf", STATE)
+        self._tf_static = node.create_publisher(TFMessage, "tf_static", STATIC_TF)
+        node.create_subscription(PartPose, "part_pose", self._on_part_pose, LATCHED)
+        node.create_timer(1.0 / node.values.tf_rate_hz, self._publish_frame)
+        self._server = ActionServer(
+            node,
+            LocalizePart,
+            "locate_part_by_shape",
+            execute_callback=self._on_execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda _: CancelResponse.ACCEPT,
+            callback_group=ReentrantCallbackGroup(),
+        )
+
+    def close(self) -> None:
+        """Waits, bounded, for the goal that is being worked on."""
+        if self._busy.acquire(timeout=_END_TIMEOUT_S):
+            self._busy.release()
+
+    def _on_goal(self, _: LocalizePart.Goal) -> GoalResponse:
+        if self._busy.acquire(blocking=False):
+            return GoalResponse.ACCEPT
+        self._node.get_logger().warning(
+            "locate_part_by_shape: refused, another goal is being worked on"
+        )
+        return GoalResponse.REJECT
+
+    async def _on_execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
+        result: LocalizePart.Result = await in_thread(self._node, lambda: self._execute(handle))
+        return result
+
+    def _execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
+        result = LocalizePart.Result()
+        try:
+            self._locate(handle, result)
+            result.status = ok()
+            handle.succeed()
+        # rclpy would answer with a result of zeros: nothing may pass.
+        except Exception as error:
+            log_error(self._node.get_logger(), "locate_part_by_shape", error)
+            result.status = status_of(error, Status.PART_INVALID)
+            was_cancelled = result.status.code == Status.LOCALIZATION_CANCELLED
+            self._node.set_health("ok" if was_cancelled else "warning", result.status.message)
+            if was_cancelled and handle.is_cancel_requested:
+                handle.canceled()
+            else:
+                handle.abort()
+        finally:
+            self._busy.release()
+        return result
+
+    def _locate(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
+        goal = handle.request
+        part, prepared = self._parts.prepared(goal.part)
+        start = None if goal.new_place else self._places.get((part.id, part.mesh_sha256))
+        cell = _GoalCell(
+            self,
+            prepared.mesh,
+            part.T_map_workpiece if start is None else start,
+            handle,
+            lambda: handle.is_cancel_requested or self._node.ended(),
+        )
+        loop = ShapeLoop(cell, self._cell, prepared.mesh, self._loop_settings(goal))
+        try:
+            estimate = loop.run()
+        finally:
+            result.attempts, result.quality = loop.attempts, loop.best_quality
+        self._publish(part, estimate, result)
+        self._node.set_health("ok", f"located {part.id}: {estimate.reason}")
+
+    def _loop_settings(self, goal: LocalizePart.Goal) -> ShapeLoopSettings:
+        threshold = goal.quality_threshold
+        if not (math.isfinite(threshold) and 0.0 <= threshold <= 1.0):
+            raise RefusedError(
+                Status.REQUEST_INVALID,
+                f"quality_threshold {threshold:g} was asked for; 0 to 1 is accepted",
+            )
+        return ShapeLoopSettings(
+            threshold or 1.0, goal.max_attempts or self._values.max_attempts, goal.may_move
+        )
+
+    def _publish(self, part: Part, estimate: ShapeEstimate, result: LocalizePart.Result) -> None:
+        located = estimate.located
+        pose = self.frames.lookup("map", "arm_base") @ located.T_arm_base_workpiece
+        self._T_map_workpiece = self._places[part.id, part.mesh_sha256] = pose
+        result.part_pose = part_pose_to_msg(located)
+        result.map_pose = pose_stamped_to_msg(pose, "map", located.stamp_s)
+        result.quality = located.quality
+        self._part_pose.publish(result.part_pose)
+        edge = ("workpiece", "fixture", part.fixture.T_workpiece_fixture)
+        self._tf_static.publish(
+            TFMessage(transforms=[transform_stamped_to_msg(*edge, self._node.now_s())])
+        )
+        self._publish_frame()
+
+    def _on_part_pose(self, message: PartPose) -> None:
+        # Located by markers: who has done that publishes its frame from now on.
+        if message.marker_ids:
+            self._T_map_workpiece = None
+
+    def _publish_frame(self) -> None:
+        pose = self._T_map_workpiece
+        if pose is not None:
+            edge = transform_stamped_to_msg("map", "workpiece", pose, self._node.now_s())
+            self._tf.publish(TFMessage(transforms=[edge]))
+
+
+class _GoalCell:
+    """The cell as one goal sees it; implements `skinplan.recognition.shape_search.Cell`."""
+
+    def __init__(
+        self,
+        locator: ShapeLocator,
+        mesh: SurfaceMesh,
+        T_map_workpiece: Array,
+        handle: ServerGoalHandle,
+        is_cancelled: Callable[[], bool],
+    ) -> None:
+        self._locator, self._mesh, self._handle = locator, mesh, handle
+        self._node, self._values = locator._node, locator._values
+        self._T_map_workpiece = T_map_workpiece
+        self._is_cancelled = is_cancelled
+        self._not_before_s = self._node.now_s()
+
+    def estimate(self) -> ShapeEstimate:
+        """Takes images and looks for the part in them."""
+        if self._is_cancelled():
+            raise cancelled()
+        values, frames = self._values, self._locator.frames
+        since_s = max(self._not_before_s, frames.moved_s + values.settle_s)
+        seen = self._locator.depth.take(
+            values.depth_images, since_s, values.camera_timeout_s, self._is_cancelled
+        )
+        if frames.moved_s > since_s:
+            raise RefusedError(
+                Status.STALE_IMAGE,
+                f"depth images of a base that stands since {since_s:.3f} s were waited for, but it "
+                f"has moved at {frames.moved_s:.3f} s",
+            )
+        start = inverse(frames.lookup("map", seen.frame)) @ self._T_map_workpiece
+        try:
+            found = locate_shape(seen.points, self._mesh, start, load(values, ShapeSettings))
+        except NoCloudError as error:
+            raise RefusedError(Status.PART_NOT_SEEN, str(error)) from error
+        return self._estimated(seen, found)
+
+    def _estimated(self, seen: DepthView, found: ShapePose) -> ShapeEstimate:
+        verdict = judge_shape(seen.points, seen.camera, self._mesh, found, self._locator._view)
+        if not verdict.is_judged:
+            raise RefusedError(Status.PART_NOT_SEEN, f"of the part {verdict.reason}")
+        camera = self._locator._cell.camera
+        located = LocatedPart.from_camera(
+            _as_pose(found),
+            self._locator.frames.lookup("arm_base", seen.frame),
+            seen.stamp_s,
+            camera.mounting_error_m,
+            camera.mounting_error_rad,
+        )
+        gate = load(self._values, GateSettings)
+        return ShapeEstimate(
+            located,
+            found.T_camera_workpiece,
+            seen.camera,
+            verdict,
+            shape_quality(located, self._mesh, gate),
+            gate.sigmas,
+        )
+
+    def place(self) -> Array:
+        """Returns ``T_map_base_link``."""
+        return self._locator.frames.lookup("map", "base_link")
+
+    def drive(self, T_map_base_link: Array) -> None:
+        """Drives the base."""
+        arrived = self._locator.base.drive(T_map_base_link, self._is_cancelled)
+        self._not_before_s = self._node.now_s()
+        if not arrived:
+            raise cancelled()
+
+    def told(self, phase: str, attempt: int, estimate: ShapeEstimate) -> None:
+        """Sends an estimate as feedback."""
+        feedback = LocalizePart.Feedback(phase=phase, attempt=attempt)
+        feedback.quality = estimate.quality
+        feedback.distance = float(np.linalg.norm(estimate.T_camera_workpiece[:3, 3]))
+        feedback.angle = math.nan
+        self._handle.publish_feedback(feedback)
+
+
+def view_settings(values: SimpleNamespace) -> ViewSettings:
+    """The shares of a scan are judged by other bounds than those of a view."""
+    return ViewSettings(
+        noise_at_1m_m=values.noise_at_1m_m,
+        tolerance_m=values.tolerance_m,
+        seen_ratio_min=values.seen_ratio_min,
+    )
+
+
+def _as_pose(found: ShapePose) -> WorkpiecePose:
+    none = np.zeros(0, dtype=np.int64)
+    return WorkpiecePose(found.T_camera_workpiece, found.covariance, 0.0, 0.0, 0.0, 0.0, none)
