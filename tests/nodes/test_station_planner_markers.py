@@ -3,6 +3,7 @@
 In a file of its own: nodes with other parameters must not answer the same service meanwhile.
 """
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,8 @@ from skinplan_msgs.srv import PlanStations
 from nodes.bench import Bench
 from nodes.small_part import reference, write_small_part
 from skinplan.mesh.prepare import prepare_mesh
+from skinplan.part.files import load_part, save_part
+from skinplan.part.model import Part
 from skinplan.scan_path.plan import plan_scan_path
 from skinplan_nodes.conversions import pose_stamped_to_msg, scan_path_to_msg
 from skinplan_nodes.station_planner import StationPlanner
@@ -43,3 +46,12 @@ def test_a_station_planner_asks_for_markers_as_its_parameters_say(
     assert "E >= 0.990 (T_E 0.900 and a margin of 0.090)" in refused.status.message
     free = asked(markers_needed=False)
     assert free.status.code == Status.OK and np.isnan(free.plan.marker_quality)
+    request.part = reference(_without_markers(part))
+    bare = asked(quality_threshold=0.9, marker_quality_margin=0.09)
+    assert bare.status.code == Status.OK and np.isnan(bare.plan.marker_quality)
+
+
+def _without_markers(part: Part) -> Part:
+    assert part.source is not None
+    bare = replace(part, fixture=replace(part.fixture, dictionary="", markers=()))
+    return load_part(save_part(bare, part.source.with_name("bare.yaml")))
