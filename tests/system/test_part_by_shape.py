@@ -8,9 +8,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from geometry_msgs.msg import PoseStamped
-from skinplan_msgs.msg import JobStatus
+from skinplan_msgs.msg import JobStatus, Status
 
 from nodes.shape_part import write_shape_part
+from shape_parts import two_bumps
 from skinplan.part.files import load_part, save_part
 from skinplan.part.model import Part
 from skinplan.part.recognition_plan import RecognitionPlan
@@ -72,3 +73,19 @@ def test_a_part_without_markers_is_measured(cell: ServedCell, part: Part) -> Non
         assert entry["position_error_m"] < 0.002, judged
         assert entry["angle_error_rad"] < np.radians(0.2), judged
     assert summary["measured"]["area_ratio"] > 0.99
+
+
+@pytest.mark.long
+@pytest.mark.timeout(600)
+def test_another_part_without_markers_is_refused_with_both_names(
+    tmp_path: Path, cell: ServedCell, part: Part
+) -> None:
+    written = write_shape_part(tmp_path / "other", "other", lambda x, y: 2.0 * two_bumps(-x, y))
+    assert written.source is not None and part.source is not None
+    checked = replace(written, recognition=RecognitionPlan(True, (part.source,)))
+    cell.order("wrong", load_part(save_part(checked, written.source)))
+    assert cell.until_over("wrong", 2.0 * TIMEOUT_S), cell.watch.status
+    status = cell.watch.status
+    assert status.state == JobStatus.ABORTED and status.status.code == Status.WRONG_PART
+    assert "the job is for part other, on the fixture is two_bumps" in status.status.message
+    assert cell.watch.motion()[0] < 1e-3, "the arm did not move"
