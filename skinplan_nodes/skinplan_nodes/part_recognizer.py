@@ -34,7 +34,8 @@ from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import STATE, STATIC_TF
 from skinplan_nodes.replies import RefusedError, replies_in_thread
 from skinplan_nodes.run import run_node
-from skinplan_nodes.shape_locator import SHAPE_PARAMETERS, ShapeLocator, view_settings
+from skinplan_nodes.shape_locator import ShapeLocator
+from skinplan_nodes.shape_parameters import SHAPE_PARAMETERS, view_settings
 
 # The tracker looks at the side that is scanned: its origin is outside of every part.
 _TRACKER = np.zeros(3)
