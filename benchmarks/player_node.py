@@ -26,6 +26,7 @@ from skinplan_msgs.srv import PlayerSeek
 from std_msgs.msg import String
 
 from skinplan.recording.reader import BagReader
+from skinplan_nodes.dds_profiles import use_profiles
 
 LISTENER = """
 import json, os, threading, time
@@ -33,6 +34,8 @@ import rclpy
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from std_msgs.msg import String
+from skinplan_nodes.dds_profiles import use_profiles
+use_profiles(large_messages=True)
 rclpy.init()
 node = rclpy.create_node("listener")
 found = {"messages": 0, "bytes": 0, "first": 0.0, "last": 0.0}
@@ -154,6 +157,8 @@ def main() -> None:
     """Runs everything."""
     given = asked(__doc__)
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    # As all programs of the cell.
+    use_profiles(large_messages=True)
     folder = Path(tempfile.mkdtemp(prefix="skinplan-player-", dir=given.folder))
     rclpy.init()
     node = Node("ear")
