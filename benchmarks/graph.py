@@ -29,6 +29,7 @@ from skinplan.part.samples import write_sample
 from skinplan_nodes.conversions import stamp_from_msg
 from skinplan_nodes.qos import STATE
 
+_READERS = "(readers of the runner)"
 _SAMPLE_S = 1.0
 _MIB = 2.0**20
 
@@ -79,6 +80,9 @@ class Sampler(threading.Thread):
                 times, memory = process.cpu_times(), process.memory_full_info()
             except (psutil.NoSuchProcess, psutil.AccessDenied, psutil.ZombieProcess):
                 continue
+            if name == _READERS and process.pid in self._cpu:
+                # One that ends has no command any more.
+                name = self._cpu[process.pid][0]
             self._cpu[process.pid] = (name, times.user + times.system)
             rss[name] += memory.rss
             pss[name] += memory.pss
@@ -95,7 +99,7 @@ def _name(process: psutil.Process, root: psutil.Process) -> str:
     for word in " ".join(process.cmdline()).split()[:7]:
         if word.startswith("skinplan_nodes.") and word != "skinplan_nodes.runner":
             return word.removeprefix("skinplan_nodes.")
-    return "(readers of the runner)"
+    return _READERS
 
 
 class ClockEar:
