@@ -77,6 +77,11 @@ def test_only_a_restored_job_moves_again() -> None:
         assert not following & moving
 
 
+def test_a_stop_behind_the_last_point_goes_on_as_the_scan_would_have() -> None:
+    for event in (Event.MOVE, Event.SCAN, Event.NEXT_STATION, Event.ALL_SCANNED):
+        assert after(State.RESTORING, event) is after(State.SCANNING, event)
+
+
 def test_changes_of_the_state_are_changes_that_job_control_knows() -> None:
     for (before, _), following in TABLE.items():
         first, second = job_state(before), job_state(following)

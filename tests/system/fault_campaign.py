@@ -173,6 +173,8 @@ def identified_part(cell: ServedCell, folder: Path) -> Part:
 def run_case(cell: ServedCell, job_id: str, case: Case, part: Part | None, stated_s: float) -> Row:
     """Runs one job with one fault in a cell that is served."""
     begin = time.monotonic()
+    # A fault that met the end of the last job was seen by nobody.
+    cell.watch.reset_devices()
     cell.order(job_id, part)
     note = ""
     if cell.until(job_id, case.state, BOUND_S):
@@ -307,6 +309,19 @@ def keep(cell: ServedCell, number: int, seed: int) -> None:
             shutil.copytree(folder, place / folder.name, ignore=shutil.ignore_patterns("*.ply"))
 
 
+def rows_of(table: Path) -> Iterator[dict[str, str]]:
+    """Returns the rows of a written table, by the names of its columns and ``note``."""
+    for line in table.read_text(encoding="utf-8").splitlines():
+        cells = [cell.strip() for cell in line.split("|", len(HEAD_NAMES) + 1)[1:]]
+        if len(cells) > len(HEAD_NAMES) and cells[0] not in ("fault", "---"):
+            yield dict(zip((*HEAD_NAMES, "note"), cells, strict=True))
+
+
+def written(table: Path) -> set[Case]:
+    """Returns the cases that a table has already: a campaign goes on where it ended."""
+    return {Case(row["fault"], row["state"], int(row["seed"])) for row in rows_of(table)}
+
+
 def shown(tables: Iterable[Path]) -> str:
     """Returns written tables as one of faults by states.
 
@@ -314,16 +329,11 @@ def shown(tables: Iterable[Path]) -> str:
     Aborted has its code, too.
     """
     found: dict[tuple[str, str], list[str]] = defaultdict(list)
-    for table in tables:
-        for line in table.read_text(encoding="utf-8").splitlines():
-            cells = [cell.strip() for cell in line.split("|")[1:]]
-            if len(cells) < len(HEAD_NAMES) or cells[0] in ("fault", "---"):
-                continue
-            values = dict(zip(HEAD_NAMES, cells, strict=False))
-            end, _, code = values["end"].partition(" ")
-            text = values["after the fault [s]"] + (f" ({code})" if end == "Aborted" else "")
-            bad = "**bad**" in line or end not in ("Ended", "Aborted")
-            found[values["fault"], values["state"]].append(f"**{text}**" if bad else text)
+    for values in (values for table in tables for values in rows_of(table)):
+        end, _, code = values["end"].partition(" ")
+        text = values["after the fault [s]"] + (f" ({code})" if end == "Aborted" else "")
+        bad = values["note"].endswith("**bad**")
+        found[values["fault"], values["state"]].append(f"**{text}**" if bad else text)
     lines = ["| fault | " + " | ".join(STATES) + " |", "|---" * (len(STATES) + 1) + "|"]
     for fault in FAULTS:
         cells = [", ".join(found[fault, state]) for state in STATES]
@@ -349,10 +359,13 @@ def main() -> None:
     if given.disk is None:
         given.faults = [fault for fault in given.faults if fault != FULL_DISK]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    done = written(given.out) if given.out.is_file() else set()
     with given.out.open("a", encoding="utf-8") as table:
-        table.write(HEAD + "\n")
+        if not done:
+            table.write(HEAD + "\n")
         for seed in given.seeds:
             cases = [Case(f, s, seed) for f in given.faults for s in given.states]
+            cases = [case for case in cases if case not in done]
             # Faults come in any order: each meets a cell that another one has left.
             random.Random(seed).shuffle(cases)
             for found in run_cases(cases, seed, given.time_factor, "fault_campaign", given.disk):

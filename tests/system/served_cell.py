@@ -16,6 +16,7 @@ from nav_msgs.msg import Odometry
 from sensor_msgs.msg import JointState
 from skinplan_msgs.msg import Job, JobStatus, Status
 from skinplan_msgs.srv import InjectFault, JobCommand, JobSubmit
+from std_srvs.srv import Trigger
 
 from nodes.bench import Bench
 from nodes.small_part import reference, write_small_part
@@ -108,6 +109,11 @@ class Watch:
         except AssertionError:
             return False
         return True
+
+    def reset_devices(self) -> None:
+        """Acknowledges what stopped the devices, as somebody does before the next job."""
+        for device in ("arm", "base", "camera", "tracker", "scanner"):
+            self.bench.call(Trigger, f"{device}/reset", Trigger.Request())
 
     def is_over(self, job_id: str) -> bool:
         """Whether the job has come to its end."""

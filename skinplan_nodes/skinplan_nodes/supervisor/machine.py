@@ -157,6 +157,9 @@ def _restoring() -> Table:
         AGAIN_TRAJECTORY=State.PLANNING_TRAJECTORY,
         MOVE=State.MOVING,
         SCAN=State.SCANNING,
+        # The stop came behind the last point of the way.
+        NEXT_STATION=State.DRIVING,
+        ALL_SCANNED=State.INSPECTING,
         AGAIN_INSPECT=State.INSPECTING,
         AGAIN_FINISH=State.FINISHING,
     )

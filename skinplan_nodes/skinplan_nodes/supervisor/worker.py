@@ -167,6 +167,7 @@ class JobWorker:
         except Exception as error:  # whatever it is, the job ends with a name and a reason
             made.failure = self._step_error(error)
             self._halt()
+            self._close_bag()
         return made
 
     def _begin(self, found: Restored, resume: bool) -> tuple[State, StepError | None]:
@@ -228,6 +229,13 @@ class JobWorker:
             self.cell.halt(stop_devices=True)
         except StepError as error:
             _log.error("halting the cell: %s", error)
+
+    def _close_bag(self) -> None:
+        """Ends the recording of a job whose mission has ended without its own closing."""
+        try:
+            self.cell.stop_recording()
+        except SkinplanError as error:
+            _log.error("closing the bag: %s", error)
 
     def _step_error(self, error: Exception, step: str = "starting") -> StepError:
         if isinstance(error, StepError):
