@@ -1,19 +1,15 @@
 """Node ``aruco_localizer``: finds the part by its markers, with the approach-retry loop of M1.2."""
 
-import math
 import sys
-import threading
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import MutuallyExclusiveCallbackGroup, ReentrantCallbackGroup
+from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.timer import Timer
 from sensor_msgs.msg import CameraInfo, CompressedImage, Image
 from skinplan_msgs import msg as messages
 from skinplan_msgs.action import LocalizePart
-from skinplan_msgs.msg import Status
 from tf2_msgs.msg import TFMessage
 
 from skinplan.errors import PartInvalidError, PartMovedError
@@ -32,14 +28,13 @@ from skinplan_nodes.conversions import (
     pose_stamped_to_msg,
     transform_stamped_to_msg,
 )
+from skinplan_nodes.localize_server import LocalizeServer, asked_quality
 from skinplan_nodes.marker_watch import DetectionRecord, MarkerWatcher
 from skinplan_nodes.node import CellNode
-from skinplan_nodes.offload import in_thread
 from skinplan_nodes.parameters import CELL_FILE, Parameter, load
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.planning import configured_cell
 from skinplan_nodes.qos import IMAGE, LATCHED, SENSOR, STATE, STATIC_TF
-from skinplan_nodes.replies import RefusedError, log_error, ok, status_of
 from skinplan_nodes.run import run_node
 
 _UNKNOWN = float("nan")
@@ -158,21 +153,12 @@ class ArucoLocalizer(CellNode):
             self.frames, self.now_s, load(self.values, FeedSettings), self.values.rectified
         )
         self.base = BaseDriver(self, self.values.drive_timeout_s)
-        self._busy = threading.Lock()
         self._T_map_workpiece: Array | None = None
         self._places: dict[tuple[str, str], Array] = {}
         self._detections = DetectionRecord()
         self._make_publishers()
         self._make_subscriptions()
-        self._server = ActionServer(
-            self,
-            LocalizePart,
-            "localize_part",
-            execute_callback=self._on_execute,
-            goal_callback=self._on_goal,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-        )
+        self._server = LocalizeServer(self, "localize_part", self._localize)
         self._watcher = MarkerWatcher(
             self.feed, self._cell, self.values.watch_rate_hz, self.publish_observations, self.ended
         )
@@ -183,8 +169,7 @@ class ArucoLocalizer(CellNode):
     def close(self) -> None:
         """Ends the goal that is being worked on: the base stops, the caller gets an error."""
         self.asked_to_end.set()
-        if self._busy.acquire(timeout=_END_TIMEOUT_S):
-            self._busy.release()
+        self._server.wait_idle()
         self._watcher.join(_END_TIMEOUT_S)
 
     def health_values(self) -> dict[str, Any]:
@@ -241,38 +226,6 @@ class ArucoLocalizer(CellNode):
         if not message.marker_ids:
             self._T_map_workpiece = None
 
-    def _on_goal(self, _: LocalizePart.Goal) -> GoalResponse:
-        # What is wrong with a goal is said in its result; a second one has to wait for the first.
-        if self._busy.acquire(blocking=False):
-            return GoalResponse.ACCEPT
-        self.get_logger().warning("localize_part: refused, another goal is being worked on")
-        return GoalResponse.REJECT
-
-    async def _on_execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
-        # Images, tf, the navigator's answers and a cancel go on meanwhile.
-        result: LocalizePart.Result = await in_thread(self, lambda: self._execute(handle))
-        return result
-
-    def _execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
-        result = LocalizePart.Result()
-        try:
-            self._localize(handle, result)
-            result.status = ok()
-            handle.succeed()
-        # rclpy would answer with a result of zeros: nothing may pass.
-        except Exception as error:
-            log_error(self.get_logger(), "localize_part", error)
-            result.status = status_of(error, Status.PART_INVALID)
-            was_cancelled = result.status.code == Status.LOCALIZATION_CANCELLED
-            self.set_health("ok" if was_cancelled else "warning", result.status.message)
-            if was_cancelled and handle.is_cancel_requested:
-                handle.canceled()
-            else:
-                handle.abort()
-        finally:
-            self._busy.release()
-        return result
-
     def _localize(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
         part = _with_markers(self._parts.part(handle.request.part))
         self._watcher.fixture = part.fixture
@@ -295,15 +248,9 @@ class ArucoLocalizer(CellNode):
         )
 
     def _approach_settings(self, goal: LocalizePart.Goal) -> ApproachSettings:
-        threshold = goal.quality_threshold
-        if not (math.isfinite(threshold) and 0.0 <= threshold <= 1.0):
-            raise RefusedError(
-                Status.REQUEST_INVALID,
-                f"quality_threshold {threshold:g} was asked for; 0 to 1 is accepted",
-            )
         quality = self._cell.quality
         return ApproachSettings(
-            threshold or self.values.quality_threshold or quality.threshold,
+            asked_quality(goal) or self.values.quality_threshold or quality.threshold,
             goal.max_attempts or self.values.max_attempts or quality.max_attempts,
             self.values.max_misses,
             goal.may_move,

@@ -1,14 +1,11 @@
 """Of ``part_recognizer``: the action ``locate_part_by_shape``, for parts without markers."""
 
 import math
-import threading
 from collections.abc import Callable
 from typing import Any
 
 import numpy as np
-from rclpy.action import ActionServer, CancelResponse, GoalResponse
 from rclpy.action.server import ServerGoalHandle
-from rclpy.callback_groups import ReentrantCallbackGroup
 from skinplan_msgs.action import LocalizePart
 from skinplan_msgs.msg import PartPose, Status
 from tf2_msgs.msg import TFMessage
@@ -37,11 +34,11 @@ from skinplan_nodes.conversions import (
 )
 from skinplan_nodes.depth_views import DepthView, DepthViews
 from skinplan_nodes.frame_tree import Frames
-from skinplan_nodes.offload import in_thread
+from skinplan_nodes.localize_server import LocalizeServer, asked_quality
 from skinplan_nodes.parameters import load
 from skinplan_nodes.part_cache import PartCache
 from skinplan_nodes.qos import LATCHED, STATE, STATIC_TF
-from skinplan_nodes.replies import RefusedError, log_error, ok, status_of
+from skinplan_nodes.replies import RefusedError
 
 _END_TIMEOUT_S = 8.0
 
@@ -64,60 +61,20 @@ class ShapeLocator:
         self._view, self._values = view, node.values
         self.depth = DepthViews(node)
         self.base = BaseDriver(node, node.values.drive_timeout_s)
-        self._busy = threading.Lock()
         self._T_map_workpiece: Array | None = None
         self._places: dict[tuple[str, str], Array] = {}
         self._part_pose = node.create_publisher(PartPose, "part_pose", LATCHED)
         self._tf = node.create_publisher(TFMessage, "tf", STATE)
         self._tf_static = node.create_publisher(TFMessage, "tf_static", STATIC_TF)
         node.create_subscription(PartPose, "part_pose", self._on_part_pose, LATCHED)
-        node.create_timer(1.0 / node.values.tf_rate_hz, self._publish_frame)
-        self._server = ActionServer(
-            node,
-            LocalizePart,
-            "locate_part_by_shape",
-            execute_callback=self._on_execute,
-            goal_callback=self._on_goal,
-            cancel_callback=lambda _: CancelResponse.ACCEPT,
-            callback_group=ReentrantCallbackGroup(),
-        )
+        self._timer = node.create_timer(1.0 / node.values.tf_rate_hz, self._publish_frame)
+        # Most cells never locate by shape: no work for them.
+        self._timer.cancel()
+        self._server = LocalizeServer(node, "locate_part_by_shape", self._locate)
 
     def close(self) -> None:
         """Waits, bounded, for the goal that is being worked on."""
-        if self._busy.acquire(timeout=_END_TIMEOUT_S):
-            self._busy.release()
-
-    def _on_goal(self, _: LocalizePart.Goal) -> GoalResponse:
-        if self._busy.acquire(blocking=False):
-            return GoalResponse.ACCEPT
-        self._node.get_logger().warning(
-            "locate_part_by_shape: refused, another goal is being worked on"
-        )
-        return GoalResponse.REJECT
-
-    async def _on_execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
-        result: LocalizePart.Result = await in_thread(self._node, lambda: self._execute(handle))
-        return result
-
-    def _execute(self, handle: ServerGoalHandle) -> LocalizePart.Result:
-        result = LocalizePart.Result()
-        try:
-            self._locate(handle, result)
-            result.status = ok()
-            handle.succeed()
-        # rclpy would answer with a result of zeros: nothing may pass.
-        except Exception as error:
-            log_error(self._node.get_logger(), "locate_part_by_shape", error)
-            result.status = status_of(error, Status.PART_INVALID)
-            was_cancelled = result.status.code == Status.LOCALIZATION_CANCELLED
-            self._node.set_health("ok" if was_cancelled else "warning", result.status.message)
-            if was_cancelled and handle.is_cancel_requested:
-                handle.canceled()
-            else:
-                handle.abort()
-        finally:
-            self._busy.release()
-        return result
+        self._server.wait_idle()
 
     def _locate(self, handle: ServerGoalHandle, result: LocalizePart.Result) -> None:
         goal = handle.request
@@ -139,14 +96,10 @@ class ShapeLocator:
         self._node.set_health("ok", f"located {part.id}: {estimate.reason}")
 
     def _loop_settings(self, goal: LocalizePart.Goal) -> ShapeLoopSettings:
-        threshold = goal.quality_threshold
-        if not (math.isfinite(threshold) and 0.0 <= threshold <= 1.0):
-            raise RefusedError(
-                Status.REQUEST_INVALID,
-                f"quality_threshold {threshold:g} was asked for; 0 to 1 is accepted",
-            )
         return ShapeLoopSettings(
-            threshold or 1.0, goal.max_attempts or self._values.max_attempts, goal.may_move
+            asked_quality(goal) or 1.0,
+            goal.max_attempts or self._values.max_attempts,
+            goal.may_move,
         )
 
     def _publish(self, part: Part, estimate: ShapeEstimate, result: LocalizePart.Result) -> None:
@@ -162,11 +115,13 @@ class ShapeLocator:
             TFMessage(transforms=[transform_stamped_to_msg(*edge, self._node.now_s())])
         )
         self._publish_frame()
+        self._timer.reset()
 
     def _on_part_pose(self, message: PartPose) -> None:
         # Located by markers: who has done that publishes its frame from now on.
         if message.marker_ids:
             self._T_map_workpiece = None
+            self._timer.cancel()
 
     def _publish_frame(self) -> None:
         pose = self._T_map_workpiece

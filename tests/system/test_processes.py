@@ -182,6 +182,7 @@ def test_killed_manager_leaves_nothing(start: Callable[..., Program]) -> None:
     tree[0].kill()
     program.process.wait(TIMEOUT_S)
     wait_for(lambda: not program.running())
+    assert program.tree, "there was something to end"
 
 
 def node_of(program: Program, marker: str, before: int = 0) -> psutil.Process:
@@ -250,6 +251,7 @@ def test_the_end_does_not_wait_for_a_restart(
     program.process.send_signal(sent)
     program.process.wait(TIMEOUT_S)
     wait_for(lambda: not program.running())
+    assert program.tree, "there was something to end"
 
 
 def test_end_of_the_client_does_not_wait_for_a_restart(start: Callable[..., Program]) -> None:
@@ -306,6 +308,7 @@ def test_forks_end_with_the_manager(start: Callable[..., Program], sent: signal.
     tree[0].send_signal(sent)
     program.process.wait(TIMEOUT_S)
     wait_for(lambda: not program.running())
+    assert program.tree, "there was something to end"
 
 
 def test_a_fork_that_is_killed_is_forked_again(start: Callable[..., Program]) -> None:

@@ -175,6 +175,10 @@ class Mission:
         except Exception as error:  # whatever it is, the job ends with a name and a reason
             return self._failed(state, self._named(error))
 
+    def close_bag(self) -> None:
+        """Closes the bag, if it is open, of a mission that ended without its own closing."""
+        self._steps.record.data.bag = self._steps.bag.close()
+
     def _interrupted(self, state: State, error: InterruptError) -> Event:
         event = error.request.event
         self._control.take((event,))

@@ -152,6 +152,7 @@ class JobWorker:
         resume: bool,
     ) -> "_Made":
         made = _Made(RunData())
+        mission: Mission | None = None
         try:
             path = part_path(job.part_uri)
             made.part = part = load_part(path)
@@ -167,7 +168,8 @@ class JobWorker:
         except Exception as error:  # whatever it is, the job ends with a name and a reason
             made.failure = self._step_error(error)
             self._halt()
-            self._close_bag()
+            if mission is not None:
+                mission.close_bag()
         return made
 
     def _begin(self, found: Restored, resume: bool) -> tuple[State, StepError | None]:
@@ -229,13 +231,6 @@ class JobWorker:
             self.cell.halt(stop_devices=True)
         except StepError as error:
             _log.error("halting the cell: %s", error)
-
-    def _close_bag(self) -> None:
-        """Ends the recording of a job whose mission has ended without its own closing."""
-        try:
-            self.cell.stop_recording()
-        except SkinplanError as error:
-            _log.error("closing the bag: %s", error)
 
     def _step_error(self, error: Exception, step: str = "starting") -> StepError:
         if isinstance(error, StepError):
