@@ -51,27 +51,42 @@ def sight(T_map_tracker=None, mesh_at=(0.0, 50.0, 0.0)):
     return LineOfSight(cell, ArmModel.load(cell), part, transform(mesh_at))
 
 
+ARM_BASE = planar(-0.3, -2.2, 0.25) @ CELL.T_base_link_arm_base
+SCANNER = (ARM_BASE @ ArmModel.load(CELL).forward_scanner(HOME[None])[0])[:3, 3]
+BELOW = (-0.2, -0.2, -1.2)
+
+
+def looking_from(offset):
+    """Returns the pose of a tracker at this place from the scanner, looking at it."""
+    view = -np.array(offset) / np.linalg.norm(offset)
+    side = np.cross([0.0, 0.0, 1.0], view)
+    side /= np.linalg.norm(side)
+    return transform(SCANNER + offset, np.column_stack([view, side, np.cross(view, side)]))
+
+
 def test_what_keeps_the_tracker_from_seeing_is_named():
-    model = ArmModel.load(CELL)
-    arm_base = planar(-0.3, -2.2, 0.25) @ CELL.T_base_link_arm_base
-    scanner = (arm_base @ model.forward_scanner(HOME[None])[0])[:3, 3]
-
-    def looking_from(offset):
-        view = -np.array(offset) / np.linalg.norm(offset)
-        side = np.cross([0.0, 0.0, 1.0], view)
-        side /= np.linalg.norm(side)
-        return transform(scanner + offset, np.column_stack([view, side, np.cross(view, side)]))
-
     free = looking_from((0.3, 2.0, 0.5))
-    assert sight(free).hindrance(HOME, arm_base) == ""
-    assert "range" in sight(looking_from((0.1, 8.0, 1.0))).hindrance(HOME, arm_base)
+    assert sight(free).hindrance(HOME, ARM_BASE) == ""
+    assert "range" in sight(looking_from((0.1, 8.0, 1.0))).hindrance(HOME, ARM_BASE)
     turned = free @ transform(rotation=Rotation.from_euler("z", np.pi).as_matrix())
-    assert "cone" in sight(turned).hindrance(HOME, arm_base)
-    below = looking_from((-0.2, -0.2, -1.2))
-    reasons = {sight(below).hindrance(HOME, arm_base)}
-    reasons.add(sight(looking_from((0.05, -2.0, 0.1))).hindrance(HOME, arm_base))
+    assert "cone" in sight(turned).hindrance(HOME, ARM_BASE)
+    below = looking_from(BELOW)
+    reasons = {sight(below).hindrance(HOME, ARM_BASE)}
+    reasons.add(sight(looking_from((0.05, -2.0, 0.1))).hindrance(HOME, ARM_BASE))
     assert any("arm" in reason or "base" in reason for reason in reasons), reasons
     # A sheet half way, lying across the line of sight.
     above = looking_from((0.0, 0.1, 1.5))
-    middle = scanner + np.array([0.0, 0.05, 0.75])
-    assert "part" in sight(above, middle).hindrance(HOME, arm_base)
+    middle = SCANNER + np.array([0.0, 0.05, 0.75])
+    assert "part" in sight(above, middle).hindrance(HOME, ARM_BASE)
+
+
+def test_a_tracker_that_was_asked_the_same_again_looks_again_when_anything_moved():
+    away, lowered = ARM_BASE.copy(), HOME.copy()
+    away[1, 3] -= 20.0
+    lowered[1] += 1.5
+    tracker = sight(looking_from(BELOW))
+    assert "base" in tracker.hindrance(HOME, ARM_BASE)
+    assert "base" in tracker.hindrance(HOME, ARM_BASE)
+    assert "range" in tracker.hindrance(lowered, ARM_BASE)
+    assert "base" in tracker.hindrance(HOME, ARM_BASE)
+    assert "range" in tracker.hindrance(HOME, away)

@@ -73,6 +73,9 @@ class LineOfSight:
     ) -> None:
         self._sight = TrackerSight(cell, mesh, T_map_workpiece)
         self._bodies = Bodies(model, cell)
+        # A robot that stands is asked about sixty times a second, and most of the time it stands.
+        self._last: tuple[bytes, bytes] = (b"", b"")
+        self._answer = ""
 
     def hindrance(self, q: Array, T_map_arm_base: Array) -> str:
         """Returns why the tracker does not see the scanner; empty = it does.
@@ -81,8 +84,11 @@ class LineOfSight:
             q: True joint positions, shape (6,) [rad].
             T_map_arm_base: True pose of the arm's base, shape (4, 4) [m].
         """
-        segments, T_arm_scanner = self._bodies.placed(q[None, :])
-        code = int(
-            self._sight.codes(self._bodies, segments, T_arm_scanner, T_map_arm_base[None])[0]
-        )
-        return self._sight.names[code] if code else ""
+        asked = (np.asarray(q, float).tobytes(), np.asarray(T_map_arm_base, float).tobytes())
+        if asked != self._last:
+            segments, T_arm_scanner = self._bodies.placed(q[None, :])
+            code = int(
+                self._sight.codes(self._bodies, segments, T_arm_scanner, T_map_arm_base[None])[0]
+            )
+            self._last, self._answer = asked, self._sight.names[code] if code else ""
+        return self._answer
