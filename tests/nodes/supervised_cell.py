@@ -271,6 +271,9 @@ class SupervisedCell(Node):
         if self.recording not in (None, folder):
             response.status = Status(code=Status.RECORDER_BUSY, message="another one is recorded")
             return response
+        if self.recording is None and folder.exists():
+            response.status = Status(code=Status.BAG_NOT_WRITABLE, message="there is one already")
+            return response
         self.recording = folder
         folder.mkdir(parents=True, exist_ok=True)
         time.sleep(self.recorder_s)

@@ -299,8 +299,22 @@ def test_a_node_that_is_another_process_interrupts_until_it_is_back(
     assert [s["code"] for s in summary["interruptions"]] == [Status.NODE_LOST]
     assert "scan_inspector" in summary["interruptions"][0]["reason"]
     assert job.cell.inspections == [("frames", False), ("frames", True)]
-    assert job.cell.bags == ["bag", "bag-2"], "the recorder was lost, too, but held nothing up"
+    asked = list(dict.fromkeys(job.cell.bags))
+    assert asked == ["bag", "bag-2"], "the recorder was lost, too, but held nothing up"
     assert {0, 1, 2, 3, 4, 5} == set(job.cell.seen)
+
+
+def test_a_recorder_told_of_late_goes_on_with_the_bag_it_began(run: Callable[..., Run]) -> None:
+    """It was started anew just before the job; its first heartbeat comes when the bag is open."""
+    job = run()
+    job.alive = (("nobody", 1), ("run_recorder", 8))
+    job.supervise().submit()
+    job.until_scanned(1)
+    job.alive = (("nobody", 1), ("run_recorder", 10))
+    summary = job.ended()
+    assert set(job.cell.bags) == {"bag"}
+    assert job.cell.calls.count("recorder/stop") == 1 and job.cell.recording is None
+    assert "parts" not in summary["bag"] and summary["bag"].get("closed", True)
 
 
 @pytest.mark.long

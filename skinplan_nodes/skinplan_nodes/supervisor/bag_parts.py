@@ -51,12 +51,12 @@ class BagParts:
         Raises:
             StepError: The recorder did not open it, and the job waits for it.
         """
-        pid = self._cell.recorder_pid()
-        if self._open and pid == self._pid and not self._cell.recorder_failure():
+        if self._open and not self._cell.recorder_failure() and self._is_written():
             return
         self._end_part()
-        part = self.part + 1
+        pid, part = self._cell.recorder_pid(), self.part + 1
         try:
+            # It may have been asked for before, and the answer was not heard.
             while self._record.folder.bag(part).exists() and not self._is_recorded(part):
                 part += 1
             self._cell.start_recording(self._record.folder.bag(part), self._metadata)
@@ -72,15 +72,19 @@ class BagParts:
         self.part, self._pid, self._open = part, pid, True
         self._record.bag(part, pid, opened=True)
 
+    def _is_written(self) -> bool:
+        """Whether the recorder writes the open part.
+
+        One that came back may have begun it before it was heard that it is another process.
+        """
+        pid = self._cell.recorder_pid()
+        if pid and pid != self._pid and self._is_recorded(self.part):
+            self._pid = pid
+            self._record.bag(self.part, pid, opened=True)
+        return pid == self._pid
+
     def _is_recorded(self, part: int) -> bool:
-        """Whether the recorder writes this part: it was asked for, the answer was not heard."""
-        try:
-            self._cell.start_recording(self._record.folder.bag(part), self._metadata)
-        except InterruptError:
-            raise
-        except StepError:
-            return False
-        return True
+        return self._cell.is_recorded(self._record.folder.bag(part), self._metadata)
 
     def tend(self) -> None:
         """Begins another part when the recorder is another process, or can't write this one."""
@@ -102,13 +106,13 @@ class BagParts:
         self._open = False
         folder = self._record.folder
         lost: dict[str, Any] = {"path": str(folder.bag(self.part)), "closed": False}
-        if self._cell.recorder_pid() == self._pid:
-            try:
+        try:
+            if self._is_written():
                 lost = self._cell.stop_recording()
-            except (SkinplanError, OSError) as error:
-                folder.note(f"closing the bag: {error}")
-                _log.error("closing the bag: %s", error)
-                lost["error"] = str(error)
+        except (SkinplanError, OSError) as error:
+            folder.note(f"closing the bag: {error}")
+            _log.error("closing the bag: %s", error)
+            lost["error"] = str(error)
         self._closed.append(lost)
         try:
             self._record.bag(self.part, self._pid, opened=False)

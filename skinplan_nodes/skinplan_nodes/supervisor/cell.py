@@ -111,6 +111,9 @@ class Cell(Protocol):
     def start_recording(self, folder: Path, metadata: Mapping[str, str]) -> None:
         """Opens a part of the bag."""
 
+    def is_recorded(self, folder: Path, metadata: Mapping[str, str]) -> bool:
+        """Whether the recorder writes this part; one that writes none begins it, if it can."""
+
     def stop_recording(self) -> dict[str, Any]:
         """Closes the bag's part; returns path, messages, bytes."""
 

@@ -153,6 +153,15 @@ class RosCell:
         request = RecorderStart.Request(folder=str(folder), metadata=key_values_to_msg(metadata))
         self._call(RecorderStart, request, _SERVICE_S, "run_recorder")
 
+    def is_recorded(self, folder: Path, metadata: Mapping[str, str]) -> bool:
+        """Whether the recorder writes this part; nothing breaks into the question."""
+        with self.waiter.undisturbed():
+            try:
+                self.start_recording(folder, metadata)
+            except StepError:
+                return False
+        return True
+
     def stop_recording(self) -> dict[str, Any]:
         """Closes the bag's part; nothing breaks into it."""
         with self.waiter.undisturbed():
