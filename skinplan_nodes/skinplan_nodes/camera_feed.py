@@ -90,6 +90,9 @@ class CameraFeed:
         self._received = self._used = self._dropped = 0
         self._taken = True
         self.wanted = False
+        # An image comes before the pose of the base that tells whether it counts: who waits for
+        # it looks again then, or a newer image would always be there of which it is not known.
+        frames.on_base(self._look_again)
 
     def take_image(self, msg: Image | CompressedImage) -> None:
         """Takes an image in."""
@@ -104,6 +107,10 @@ class CameraFeed:
         """Takes a camera model in."""
         with self._arrived:
             self._info = msg
+            self._arrived.notify_all()
+
+    def _look_again(self) -> None:
+        with self._arrived:
             self._arrived.notify_all()
 
     def counts(self) -> FeedCounts:

@@ -2,6 +2,7 @@
 
 import math
 import threading
+from collections.abc import Callable
 
 from tf2_msgs.msg import TFMessage
 
@@ -25,10 +26,15 @@ class Frames:
         self._base: Array | None = None
         self._moved_s = 0.0
         self._known_s = math.inf
+        self._on_base: Callable[[], None] | None = None
+
+    def on_base(self, told: Callable[[], None]) -> None:
+        """Has somebody told each time when a pose of the base was taken in."""
+        self._on_base = told
 
     def take(self, msg: TFMessage) -> list[str]:
         """Takes transforms in; returns why some of them can't be used."""
-        refused = []
+        refused, based = [], False
         for item in msg.transforms:
             try:
                 parent, child, T_parent_child, stamp_s = transform_stamped_from_msg(item)
@@ -36,8 +42,11 @@ class Frames:
                     self._tree.set(parent, child, T_parent_child, stamp_s)
                     if child == self._base_frame:
                         self._watch(T_parent_child, stamp_s)
+                        based = True
             except InputError as error:
                 refused.append(str(error))
+        if based and self._on_base is not None:
+            self._on_base()
         return refused
 
     def lookup(self, target: str, source: str) -> Array:

@@ -34,6 +34,7 @@ from skinplan.part.model import Part
 from skinplan.part.samples import write_sample
 from skinplan.robot.cell import CellConfig
 from skinplan.transforms import difference, inverse, planar, transform
+from skinplan_nodes import camera_feed
 from skinplan_nodes.aruco_localizer import ArucoLocalizer
 from skinplan_nodes.camera_feed import CameraFeed, FeedSettings, Frames
 from skinplan_nodes.conversions import (
@@ -367,6 +368,29 @@ def test_an_image_from_before_the_last_motion_is_stale() -> None:
     with pytest.raises(LocalizationCancelledError) as stopped:
         feed.look(11.6, lambda: True)
     assert status_of(stopped.value).code == Status.LOCALIZATION_CANCELLED
+
+
+def test_an_image_counts_as_soon_as_the_base_is_known_to_have_stood(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # Nobody looks by himself: only what is told wakes who waits.
+    monkeypatch.setattr(camera_feed, "_POLL_S", 60.0)
+    frames = Frames()
+    moved(frames, 0.0, 10.0)
+    feed = CameraFeed(frames, lambda: 100.0, FeedSettings(0.5, 2.0, 120.0))
+    waits, found = threading.Event(), []
+
+    def asked_to_end() -> bool:
+        waits.set()
+        return False
+
+    looks = threading.Thread(target=lambda: found.append(feed.look(0.0, asked_to_end)), daemon=True)
+    looks.start()
+    assert waits.wait(30.0)
+    image_at(feed, 11.0)
+    moved(frames, 0.0, 11.02)
+    looks.join(30.0)
+    assert [view.stamp_s for view in found] == [pytest.approx(11.0)]
 
 
 def test_frames_refuse_transforms_that_are_none() -> None:
