@@ -8,11 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from skinplan.errors import InputError
 from skinplan.inspection.cloud import write_ply
 from skinplan.inspection.figures import deviation_limit, nice_limit
-from skinplan.inspection.raster import View, diverging, value_image
+from skinplan.inspection.raster import View, closed, diverging, value_image
 from skinplan.inspection.report import render, write_report
 from skinplan.inspection.run_files import read_run
 from skinplan.inspection.verdict import verdict
@@ -367,6 +368,17 @@ def test_holes_larger_than_the_spacing_stay() -> None:
     radius = np.hypot(u * view.pixel_m - 0.5, (shown.shape[0] - 1 - v) * view.pixel_m - 0.25)
     assert shown[radius > 0.082].all()
     assert not shown[radius < 0.07].any()
+
+
+@pytest.mark.parametrize("share", [0.0, 0.001, 0.02, 0.3, 0.9, 1.0])
+@pytest.mark.parametrize("reach", [1, 4, 30])
+def test_an_area_is_closed_as_by_as_many_steps_of_a_cross(share: float, reach: int) -> None:
+    random = np.random.default_rng([reach, int(share * 1000)])
+    for _ in range(5):
+        filled = random.uniform(size=random.integers(1, 90, 2)) < share
+        padded = ndimage.binary_closing(np.pad(filled, reach), iterations=reach)
+        expected = padded[reach:-reach, reach:-reach]
+        np.testing.assert_array_equal(closed(filled, reach), expected)
 
 
 def test_colours_and_limits() -> None:

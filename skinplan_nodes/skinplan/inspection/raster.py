@@ -17,6 +17,8 @@ from skinplan.transforms import Array
 _LONGEST_PX = 1200
 # Around each point the picture is filled up to this many times the mean spacing of the points.
 _REACH = 1.5
+# Gaps in the points are closed up to twice this [px], to tell the area that they span.
+_SPAN_PX = 30
 
 # Diverging: blue - neutral - red, the middle visible on white and on black; differs in lightness
 # too.
@@ -90,10 +92,25 @@ def value_image(points: Array, values: Array, view: View) -> tuple[Array, NDArra
 
 def _close_gaps(mean: Array, filled: NDArray[np.bool_]) -> tuple[Array, NDArray[np.bool_]]:
     # The spacing is that between filled pixels in the area that the points span.
-    span = ndimage.binary_closing(np.pad(filled, 30), iterations=30)[30:-30, 30:-30] | filled
+    span = closed(filled, _SPAN_PX)
     spacing = float(np.sqrt(span.sum() / filled.sum()))
     distance, (row, column) = ndimage.distance_transform_edt(~filled, return_indices=True)
     return mean[row, column], distance <= (_REACH * spacing if spacing > 1.05 else 1.0)
+
+
+def closed(filled: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
+    """Returns the closing by a diamond: as `reach_px` dilations, then erosions, by a cross.
+
+    Two distance transforms take a hundredth of the time that the steps take.
+    """
+    if not filled.any():
+        return filled.copy()
+    # A pixel beyond the reach stays empty on every side, as what lies outside the image.
+    padded = np.pad(filled, reach_px + 1)
+    empty = ndimage.distance_transform_cdt(~padded, metric="taxicab") > reach_px
+    eroded = ndimage.distance_transform_cdt(~empty, metric="taxicab") > reach_px
+    border = slice(reach_px + 1, -reach_px - 1)
+    return np.asarray(eroded[border, border])
 
 
 def diverging(values: Array, limit: float) -> NDArray[np.uint8]:
