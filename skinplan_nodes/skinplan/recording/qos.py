@@ -4,6 +4,7 @@ A YAML sequence, with names from metadata version 9 on.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
 import yaml
@@ -11,6 +12,8 @@ import yaml
 from skinplan.errors import BagInvalidError
 
 INFINITE_NS = 2**63 - 1
+# Longer texts are no profiles that anybody offers; they are read, but not kept.
+_LONGEST_KEPT = 4096
 
 # rmw's numbers, which metadata up to version 8 has in the place of names.
 _HISTORY = ("system_default", "keep_last", "keep_all", "unknown")
@@ -98,12 +101,23 @@ def qos_profiles(node: object) -> tuple[QosProfile, ...]:
         BagInvalidError: The text is no YAML sequence of profiles.
     """
     if isinstance(node, str):
-        try:
-            node = yaml.safe_load(node)
-        except (yaml.YAMLError, ValueError, RecursionError) as error:
-            raise BagInvalidError(
-                f"offered_qos_profiles: a YAML sequence is accepted, found {error}"
-            ) from error
+        return _of_text(node) if len(node) < _LONGEST_KEPT else _of_text.__wrapped__(node)
+    return _of_node(node)
+
+
+@lru_cache(maxsize=256)
+def _of_text(text: str) -> tuple[QosProfile, ...]:
+    """A bag has tens of topics with a handful of profiles, each 10 ms of YAML."""
+    try:
+        node = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise BagInvalidError(
+            f"offered_qos_profiles: a YAML sequence is accepted, found {error}"
+        ) from error
+    return _of_node(node)
+
+
+def _of_node(node: object) -> tuple[QosProfile, ...]:
     if not node:
         return ()
     if not isinstance(node, list):
