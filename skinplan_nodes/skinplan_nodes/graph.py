@@ -20,8 +20,9 @@ JOINT_RATE_HZ = 125.0
 # Cell time runs no faster while plans are made: every node works for time that nobody needs, and
 # the planner waits for a core.
 COMPUTING_FACTOR = 5.0
-# Images per second of wall time at most: rendering, sending and packing one costs 0.2 s of CPU.
-IMAGE_RATE_HZ = 4.0
+# Images per second of wall time at most: rendering, sending and packing one costs 0.03 s of CPU,
+# and who looks for the part waits for a dozen of them.
+IMAGE_RATE_HZ = 8.0
 
 # Nodes whose queues must not overflow: time waits for them.
 _TIME_WAITS_FOR = ("scan_inspector", "run_recorder")
