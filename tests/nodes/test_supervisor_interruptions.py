@@ -23,6 +23,8 @@ from nodes.supervised_cell import HOME, SupervisedCell, joints_of
 from skinplan.part.model import Part
 from skinplan_nodes.cell_supervisor import CellSupervisor
 from skinplan_nodes.qos import LATCHED, STATE
+from skinplan_nodes.supervisor.machine import State
+from skinplan_nodes.supervisor.mission import Mission
 
 Ask = JobCommand.Request
 QUICK: dict[str, Any] = {
@@ -315,6 +317,42 @@ def test_a_recorder_told_of_late_goes_on_with_the_bag_it_began(run: Callable[...
     assert set(job.cell.bags) == {"bag"}
     assert job.cell.calls.count("recorder/stop") == 1 and job.cell.recording is None
     assert "parts" not in summary["bag"] and summary["bag"].get("closed", True)
+
+
+def test_a_job_that_needs_its_recorder_stands_until_it_records(run: Callable[..., Run]) -> None:
+    job = run()
+    job.alive = (("nobody", 1), ("run_recorder", 8))
+    job.supervise(without_recorder="interrupt").submit()
+    job.until_scanned(1)
+    job.cell.recording = Path("/a bag of somebody else")
+    job.alive = (("nobody", 1), ("run_recorder", 10))
+    job.until(JobStatus.INTERRUPTED, "waiting")
+    job.stands_still()
+    job.cell.recording = None
+    job.command(Ask.RESUME)
+    summary = job.ended()
+    assert [s["code"] for s in summary["interruptions"]] == [Status.RECORDER_BUSY]
+    assert list(dict.fromkeys(job.cell.bags)) == ["bag", "bag-2"]
+    assert set(job.cell.seen) == set(range(6))
+
+
+def test_a_job_that_ends_by_an_error_nobody_foresaw_closes_its_bag(
+    run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    reported = Mission._report
+
+    def report(mission: Mission, state: State) -> None:
+        if state is State.INSPECTING:
+            raise ZeroDivisionError("nobody thought of it")
+        reported(mission, state)
+
+    monkeypatch.setattr(Mission, "_report", report)
+    job = run().supervise().submit()
+    summary = job.aborted()
+    assert summary["error"]["code"] == Status.INTERNAL
+    assert "nobody thought of it" in summary["error"]["message"]
+    assert job.cell.calls.count("recorder/stop") == 1 and job.cell.recording is None
+    job.stands_still()
 
 
 @pytest.mark.long

@@ -70,7 +70,7 @@ class BagParts:
                 return
             raise
         self.part, self._pid, self._open = part, pid, True
-        self._record.bag(part, pid, opened=True)
+        self._write_down()
 
     def _is_written(self) -> bool:
         """Whether the recorder writes the open part.
@@ -80,7 +80,7 @@ class BagParts:
         pid = self._cell.recorder_pid()
         if pid and pid != self._pid and self._is_recorded(self.part):
             self._pid = pid
-            self._record.bag(self.part, pid, opened=True)
+            self._write_down()
         return pid == self._pid
 
     def _is_recorded(self, part: int) -> bool:
@@ -114,9 +114,13 @@ class BagParts:
             _log.error("closing the bag: %s", error)
             lost["error"] = str(error)
         self._closed.append(lost)
+        self._write_down()
+
+    def _write_down(self) -> None:
         try:
-            self._record.bag(self.part, self._pid, opened=False)
+            self._record.bag(self.part, self._pid, self._open)
         except OSError as error:
+            # What can't be written down can't be resumed, but it can be brought to its end.
             _log.error("the journal can't be written: %s", error)
 
     def _figures(self) -> dict[str, Any]:

@@ -140,8 +140,6 @@ class Mission:
             place.state = state
             self._release()
         self._write_down(lambda: steps.record.entered(state, event, place))
-        if state in (State.DRIVING, State.MOVING, State.SCANNING):
-            steps.bag.tend()
         self._report(state)
 
     def _code(self) -> int:
@@ -169,6 +167,8 @@ class Mission:
         try:
             if state not in (*INTERRUPTED, State.CLOSING, State.ABORTING):
                 self._control.check()
+            if state in (State.DRIVING, State.MOVING, State.SCANNING):
+                self._steps.bag.tend()
             return self._actions[state]()
         except InterruptError as error:
             return self._interrupted(state, error)
