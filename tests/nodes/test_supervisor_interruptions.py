@@ -336,6 +336,15 @@ def test_a_job_that_needs_its_recorder_stands_until_it_records(run: Callable[...
     assert set(job.cell.seen) == set(range(6))
 
 
+def test_a_job_whose_recorder_is_busy_at_the_start_ends(run: Callable[..., Run]) -> None:
+    job = run().supervise(without_recorder="interrupt")
+    job.cell.recording = somebody_elses = Path("/a bag of somebody else")
+    summary = job.submit().aborted()
+    assert summary["error"]["code"] == Status.RECORDER_BUSY
+    assert job.cell.recording == somebody_elses, "what somebody else records goes on"
+    assert "drive" not in job.cell.calls
+
+
 def test_a_job_that_ends_by_an_error_nobody_foresaw_closes_its_bag(
     run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -110,6 +110,7 @@ def test_codes_are_those_of_the_message() -> None:
     assert known >= faults.AUTOMATIC | faults.OPERATOR
     assert not faults.AUTOMATIC & faults.OPERATOR
     assert faults.BASE_MAY_HAVE_MOVED <= faults.AUTOMATIC | faults.OPERATOR
+    assert faults.ENDS_A_START <= faults.AUTOMATIC | faults.OPERATOR
     assert int(job_state(State.PAUSED)) == JobStatus.INTERRUPTED
 
 

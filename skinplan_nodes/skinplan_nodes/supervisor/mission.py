@@ -14,7 +14,7 @@ from skinplan_nodes.supervisor.control import (
     StepError,
 )
 from skinplan_nodes.supervisor.faults import (
-    DEVICE_NOT_READY,
+    ENDS_A_START,
     Answer,
     Attempts,
     Interruption,
@@ -191,7 +191,7 @@ class Mission:
 
     def _failed(self, state: State, error: StepError) -> Event:
         answer = answer_to(error.code)
-        nothing_begun = state is State.STARTING and error.code == DEVICE_NOT_READY
+        nothing_begun = state is State.STARTING and error.code in ENDS_A_START
         if state in (State.CLOSING, State.ABORTING):
             self._steps.record.folder.note(f"{state.value}: {error}")
             return Event.FAILED
