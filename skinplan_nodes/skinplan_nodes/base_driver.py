@@ -108,8 +108,7 @@ class BaseDriver:
                 stop = late or is_cancelled()
             finally:
                 if stop:
-                    _wait(handle.cancel_goal_async(), _CANCEL_S)
-                    _wait(result, _CANCEL_S)
+                    _stop(handle, result)
             if stop:
                 if not late:
                     return False
@@ -124,6 +123,13 @@ class BaseDriver:
             f"a drive to {place} was asked for, the navigator gave up: "
             f"{answer.result.error_msg or 'without a reason'} (code {answer.result.error_code})"
         )
+
+
+def _stop(handle: Any, result: Any) -> None:
+    """Cancels a drive and waits for its end; a new process of the base knows nothing of it."""
+    asked = handle.cancel_goal_async()
+    if not _wait(asked, _CANCEL_S) or asked.result().goals_canceling:
+        _wait(result, _CANCEL_S)
 
 
 def _wait(future: Any, timeout_s: float) -> bool:

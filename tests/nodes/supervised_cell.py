@@ -92,6 +92,8 @@ class SupervisedCell(Node):
         self.recorder_s = 0.0
         # So often the part is not located well enough from a station.
         self.stands_badly = 0
+        # So many goals the localiser does not take: it still works on another one.
+        self.localizer_refuses = 0
         self.base_answers = True
         self.seen: list[float] = []
         self.blind: set[int] = set()
@@ -317,20 +319,30 @@ class SupervisedCell(Node):
         self._servers = [
             self._action(FollowJointTrajectory, controller, self._follow),
             self._action(NavigateToPose, "navigate_to_pose", self._navigate),
-            self._action(LocalizePart, "localize_part", self._localize),
+            self._action(LocalizePart, "localize_part", self._localize, self._on_localize),
             self._action(LocalizePart, "locate_part_by_shape", self._locate_by_shape),
         ]
 
     def _service(self, kind: Any, name: str, handler: Callable[[Any, Any], Any]) -> None:
         self.create_service(kind, name, handler, callback_group=self._group)
 
-    def _action(self, kind: Any, name: str, execute: Callable[[Any], Any]) -> ActionServer:
+    def _on_localize(self, _: Any) -> GoalResponse:
+        self.localizer_refuses -= 1
+        return GoalResponse.REJECT if self.localizer_refuses >= 0 else GoalResponse.ACCEPT
+
+    def _action(
+        self,
+        kind: Any,
+        name: str,
+        execute: Callable[[Any], Any],
+        on_goal: Callable[[Any], GoalResponse] = lambda _: GoalResponse.ACCEPT,
+    ) -> ActionServer:
         return ActionServer(
             self,
             kind,
             name,
             execute,
-            goal_callback=lambda _: GoalResponse.ACCEPT,
+            goal_callback=on_goal,
             cancel_callback=lambda _: CancelResponse.ACCEPT,
             callback_group=self._group,
         )

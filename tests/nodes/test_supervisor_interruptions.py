@@ -264,6 +264,16 @@ def test_a_base_that_stands_badly_drives_to_its_station_again(run: Callable[...,
     assert motions[2:6] == ["drive", "localize", "drive", "localize"], "the station's, twice"
 
 
+def test_a_localiser_that_still_works_on_its_last_goal_is_asked_again(
+    run: Callable[..., Run],
+) -> None:
+    job = run().supervise()
+    job.cell.localizer_refuses = 3
+    summary = job.submit().ended()
+    assert summary["interruptions"] == []
+    assert job.cell.localizer_refuses < 0 and job.cell.calls.count("localize") == 2
+
+
 @pytest.mark.long
 def test_an_arm_goal_that_never_ends_ends_the_job_in_time(run: Callable[..., Run]) -> None:
     job = run().supervise(segment_timeout_s=1.0, resume_attempts_max=1)

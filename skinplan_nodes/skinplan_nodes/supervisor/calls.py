@@ -19,6 +19,7 @@ from skinplan_nodes.supervisor.waiting import Waiter
 _SERVER_S = 10.0
 _ACCEPT_S = 10.0
 _CANCEL_S = 1.0
+_BUSY_LOOK_S = 0.3
 
 
 class Calls:
@@ -64,9 +65,17 @@ class Calls:
         goal: Any,
         timeout_s: float,
         node: str,
-        on_feedback: Callable[[Any], None] | None = None,
+        busy_s: float = 0.0,
     ) -> tuple[Any, bool]:
         """Sends a goal and waits for its end, on the cell's time.
+
+        Args:
+            client: Sends it.
+            goal: The goal.
+            timeout_s: Longest wait for its end, on the cell's time [s].
+            node: Who serves it.
+            busy_s: A server that works on one goal at a time rejects others: so long the goal is
+                sent again, wall time [s].
 
         Returns:
             The result, and whether the goal succeeded.
@@ -77,13 +86,11 @@ class Calls:
         """
         name = f"action {client._action_name}"
         self._wait_server(client.server_is_ready, name, node)
-        sent = client.send_goal_async(goal, feedback_callback=on_feedback)
-        try:
-            handle = self._waiter.wall(sent, _ACCEPT_S, name, node)
-        except StepError:
-            # Accepted after nobody waits any more: such a goal must not run on.
-            sent.add_done_callback(_cancel_late)
-            raise
+        handle = self._sent(client, goal, name, node)
+        deadline = time.monotonic() + busy_s
+        while not handle.accepted and time.monotonic() < deadline:
+            time.sleep(_BUSY_LOOK_S)
+            handle = self._sent(client, goal, name, node)
         if not handle.accepted:
             raise StepError(Status.DEVICE_REFUSED, f"{name}: the goal was rejected", node)
         with self._lock:
@@ -96,6 +103,16 @@ class Calls:
         with self._lock:
             self._goals.clear()
         return response.result, response.status == GoalStatus.STATUS_SUCCEEDED
+
+    def _sent(self, client: ActionClient, goal: Any, name: str, node: str) -> Any:
+        """Sends a goal, and returns its handle when it is known whether it is accepted."""
+        sent = client.send_goal_async(goal)
+        try:
+            return self._waiter.wall(sent, _ACCEPT_S, name, node)
+        except StepError:
+            # Accepted after nobody waits any more: such a goal must not run on.
+            sent.add_done_callback(_cancel_late)
+            raise
 
     def cancel_all(self) -> None:
         """Cancels the goals that are being worked on, and waits shortly for the answers."""

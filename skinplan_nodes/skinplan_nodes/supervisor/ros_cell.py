@@ -45,6 +45,8 @@ from skinplan_nodes.supervisor.watch import NodeWatch
 _SERVICE_S = 10.0
 _INSPECT_S = 120.0
 _CLOSE_S = 60.0
+# A localiser works on until a base has answered that does not any more: its last goal, cancelled.
+_LOCALIZER_BUSY_S = 15.0
 _HALT_S = 1.0
 _MEET_S = 5.0
 # What a trajectory may take longer than planned: scaled speed, a protective slow-down.
@@ -219,7 +221,7 @@ class RosCell:
             quality_threshold=quality,
         )
         timeout_s = self._values.localize_timeout_s
-        result, reached = self._calls.action(client, goal, timeout_s, node)
+        result, reached = self._calls.action(client, goal, timeout_s, node, _LOCALIZER_BUSY_S)
         if not reached or result.status.code != Status.OK:
             code = result.status.code if result.status.code > Status.OK else Status.INTERNAL
             raise StepError(
