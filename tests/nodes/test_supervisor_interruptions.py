@@ -313,6 +313,7 @@ def test_a_node_that_is_another_process_interrupts_until_it_is_back(
     assert job.cell.inspections == [("frames", False), ("frames", True)]
     asked = list(dict.fromkeys(job.cell.bags))
     assert asked == ["bag", "bag-2"], "the recorder was lost, too, but held nothing up"
+    assert job.cell.calls.count("localize") == 3, "the new inspector did not see the base stand"
     assert {0, 1, 2, 3, 4, 5} == set(job.cell.seen)
 
 

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from rosbags.highlevel import AnyReader
-from skinplan_msgs.msg import JobStatus
+from skinplan_msgs.msg import JobStatus, Status
 from skinplan_msgs.srv import JobCommand
 
 from skinplan.part.files import load_part, save_part
@@ -65,6 +65,23 @@ INJECTED: dict[str, tuple[str, dict[str, str]]] = {
 }
 KILLED = tuple(f"kill {node.name}" for node in describe(GraphSettings(Path("/runs"), "/part.yaml")))
 FULL_DISK = "full_disk"
+#: The code with which a job may end after a fault that outlasts its patience. Others have to be
+#: survived: a node that was killed is back in seconds.
+RIGHT_CODES: dict[str, tuple[int, ...]] = {
+    "protective_stop": (Status.PROTECTIVE_STOP,),
+    "emergency_stop": (Status.EMERGENCY_STOP,),
+    "stops_following": (Status.DEVICE_FAILED, Status.DEVICE_TIMEOUT),
+    "blocked": (Status.BASE_BLOCKED,),
+    "base.lost": (Status.BASE_LOST,),
+    "never_answers": (Status.DEVICE_TIMEOUT,),
+    "frozen": (Status.STALE_IMAGE,),
+    "dark": (Status.NO_MARKER,),
+    "stale_stamps": (Status.STALE_IMAGE,),
+    "no_images": (Status.NO_IMAGE,),
+    "hidden": (Status.TRACKER_LOST,),
+    "tracker.lost": (Status.TRACKER_LOST,),
+    FULL_DISK: (Status.DISK_FULL,),
+}
 FAULTS = (*INJECTED, *KILLED, FULL_DISK)
 #: How long a fault lasts [s of wall time]; those of the operator last until somebody looks.
 LASTS_S = 3.0
@@ -105,8 +122,9 @@ class Row:
 
     @property
     def is_good(self) -> bool:
-        """Finished, or ended as failed with a code; in time; nothing moved, nothing was lost."""
-        named = self.ended == "Ended" or (self.ended == "Aborted" and self.code != "")
+        """Finished, or failed with the right code; in time; nothing moved, nothing was lost."""
+        right = [str(code) for code in RIGHT_CODES.get(self.case.fault, ())]
+        named = self.ended == "Ended" or (self.ended == "Aborted" and self.code in right)
         in_time = self.after_fault_s <= self.stated_s
         return named and in_time and not self.moved_while_stopped and self.bag_messages > 0
 

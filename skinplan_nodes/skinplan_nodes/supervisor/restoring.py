@@ -91,9 +91,10 @@ class Restoring:
         steps.cell.reset_devices(all_devices=self.by_operator)
         steps.cell.wait_ready()
         steps.bag.open()
-        if steps.place.state is not State.STARTING and self._inspector_is_new():
+        inspector_is_new = self._inspector_is_new()
+        if steps.place.state is not State.STARTING and inspector_is_new:
             steps.cell.start_inspection(steps.job, steps.record.folder.frames, resume=True)
-        again = self._again()
+        again = self._again(inspector_is_new)
         self.taken_over = False
         return again
 
@@ -116,7 +117,7 @@ class Restoring:
         missing = any(e.node == "scan_inspector" for e in self._reasons)
         return self.taken_over or lost or missing
 
-    def _again(self) -> Event:
+    def _again(self, inspector_is_new: bool) -> Event:
         place = self.steps.place
         regular = {
             State.STARTING: Event.AGAIN_START,
@@ -133,7 +134,9 @@ class Restoring:
         if place.state in regular:
             return regular[place.state]
         self._forget_unsure()
-        if self._base_may_have_moved():
+        # A new inspector has not seen that the base stood still since it located the part, and
+        # takes no place of the part from before.
+        if inspector_is_new or self._base_may_have_moved():
             self._cut()
             driven_off = any(error.code in BASE_MAY_HAVE_MOVED for error in self._reasons)
             driven_off = driven_off or self.steps.cell.base_moved_m() > _BASE_AWAY_M
