@@ -103,8 +103,15 @@ class SimulatedCell:
     def told(self, estimate) -> None:
         self.told_estimates.append(estimate)
 
-    def loop(self, settings=SETTINGS, fixture=FIXTURE, is_cancelled=lambda: False, config=CELL):
-        return ApproachLoop(self, config, fixture, settings, is_cancelled)
+    def loop(
+        self,
+        settings=SETTINGS,
+        fixture=FIXTURE,
+        is_cancelled=lambda: False,
+        config=CELL,
+        last_image=None,
+    ):
+        return ApproachLoop(self, config, fixture, settings, is_cancelled, last_image)
 
 
 def random_start(seed: int) -> np.ndarray:

@@ -4,6 +4,8 @@ import sys
 from collections.abc import Callable, Sequence
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
 from rclpy.action.server import ServerGoalHandle
 from rclpy.callback_groups import MutuallyExclusiveCallbackGroup
 from rclpy.timer import Timer
@@ -156,6 +158,7 @@ class ArucoLocalizer(CellNode):
         self._T_map_workpiece: Array | None = None
         self._places: dict[tuple[str, str], Array] = {}
         self._detections = DetectionRecord()
+        self._last_image: NDArray[np.uint8] | None = None
         self._make_publishers()
         self._make_subscriptions()
         self._server = LocalizeServer(self, "localize_part", self._localize)
@@ -236,10 +239,12 @@ class ArucoLocalizer(CellNode):
             part.fixture,
             self._approach_settings(handle.request),
             lambda: handle.is_cancel_requested or self.ended(),
+            self._last_image,
         )
         try:
             estimate = loop.run()
         finally:
+            self._last_image = loop.last_image
             result.attempts, result.quality = loop.attempts, loop.best_quality
             self._watcher.paused, self.feed.wanted = False, self._watcher.active
         self._publish_result(part, estimate, result, handle.request.new_place)

@@ -276,12 +276,28 @@ def test_a_localiser_that_still_works_on_its_last_goal_is_asked_again(
 
 @pytest.mark.long
 def test_an_arm_goal_that_never_ends_ends_the_job_in_time(run: Callable[..., Run]) -> None:
-    job = run().supervise(segment_timeout_s=1.0, resume_attempts_max=1)
+    job = run().supervise(segment_timeout_s=1.0, resume_attempts_max=1, operator_timeout_s=1.0)
     job.cell.arm.never_ends = True
     summary = job.submit().aborted()
     assert summary["error"]["code"] == Status.STEP_TIMEOUT
     assert "was not over within 1 s" in summary["error"]["message"]
     job.stands_still()
+
+
+def test_what_fails_again_and_again_is_left_to_the_operator(run: Callable[..., Run]) -> None:
+    job = run().supervise(resume_attempts_max=1)
+    job.cell.stands_badly = 100
+    job.submit()
+    job.until(JobStatus.INTERRUPTED, "waiting")
+    assert job.cell.stands_badly == 98, "it went on once by itself"
+    job.command(Ask.RESUME)
+    patiently(lambda: job.cell.stands_badly == 96)
+    job.until(JobStatus.INTERRUPTED, "waiting")
+    job.cell.stands_badly = 0
+    job.command(Ask.RESUME)
+    summary = job.ended()
+    assert {s["code"] for s in summary["interruptions"]} == {Status.QUALITY_NOT_REACHED}
+    assert set(job.cell.seen) == set(range(6))
 
 
 @pytest.mark.long

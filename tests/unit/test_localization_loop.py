@@ -128,6 +128,55 @@ def test_frozen_from_the_start():
     assert not cell.goals
 
 
+def nearer(seed):
+    """Returns an image from a place where E is good enough, as a camera that froze there gives."""
+    cell = SimulatedCell(seed, START)
+    shown = []
+    cell.change_image = lambda image, _: shown.append(image) or image
+    assert cell.loop(replace(SETTINGS, images=1)).run().quality >= SETTINGS.threshold
+    return shown[-1]
+
+
+@pytest.mark.parametrize("frozen", [1, 2])
+@pytest.mark.parametrize("images", [2, 3, 4])
+def test_a_camera_that_was_frozen_elsewhere_until_now(frozen, images):
+    """The old images are good ones, and may be more than the only one of now."""
+    old, cell = nearer(5), SimulatedCell(5, START)
+    cell.change_image = lambda image, look: old if look <= frozen else image
+    settings = replace(SETTINGS, images=images, may_move=False)
+    assert "px from where the image before" in str(fails(cell, StaleImageError, settings))
+    assert [estimate.pose for estimate in cell.told_estimates] == []
+
+
+def test_a_camera_that_froze_at_the_last_goal():
+    """With one image per estimate nothing but the image of the last goal tells."""
+    old, cell = nearer(6), SimulatedCell(6, START)
+    cell.change_image = lambda *_: old
+    settings = replace(SETTINGS, images=1, may_move=False)
+    loop = cell.loop(settings, last_image=old)
+    with pytest.raises(StaleImageError, match="repeats the same one"):
+        loop.run()
+    assert loop.last_image is old
+    again = SimulatedCell(6, START)
+    again.change_image = lambda image, look: old if look == 1 else image
+    with pytest.raises(QualityNotReachedError):
+        again.loop(settings, last_image=old).run()
+
+
+def test_an_old_image_before_some_without_markers_locates_nothing():
+    old, cell = nearer(7), SimulatedCell(7, START @ planar(0, 0, np.pi))
+    cell.change_image = lambda image, look: old if look == 1 else image
+    fails(cell, NoMarkerError, replace(SETTINGS, images=3, may_move=False))
+    assert all(estimate.pose is None for estimate in cell.told_estimates)
+
+
+def test_a_driver_that_gives_each_image_twice_is_no_camera_that_froze():
+    cell, kept = SimulatedCell(8, START), []
+    cell.change_image = lambda image, look: kept.append(image) or kept[2 * ((look - 1) // 2)]
+    found = cell.loop(replace(SETTINGS, images=3, threshold=0.1, may_move=False)).run()
+    assert found.attempt == 1 and cell.looks == 5
+
+
 def test_base_that_reports_success_without_moving():
     cell = SimulatedCell(4, START)
     cell.drive = lambda goal, is_cancelled: cell.goals.append(goal) or True

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from skinplan.errors import InputError
+from skinplan.errors import InputError, NoMarkerError, StaleImageError
 from skinplan.localization.judge import observations
 from skinplan.localization.model import CameraModel, Detection, Observation, Sighting
 from skinplan.part.model import Fixture
@@ -14,6 +14,8 @@ from skinplan.transforms import Array
 # A marker whose corners are farther than this from their median over the images is left out of
 # that image: so many standard deviations, at least so many pixels.
 _OUTLIER_SIGMA, _LEAST_BOUND_PX = 5.0, 0.15
+# A camera that shakes moves the corners by less than this between two images [px].
+_APART_PX = 5.0
 
 
 def fuse(
@@ -69,6 +71,32 @@ def fuse(
         partly=tuple(sorted({i for seen in sightings for i in seen.partly} & set(kept))),
         images=sum(seen.images for seen in sightings),
     )
+
+
+def require_same_view(before: Sighting, now: Sighting) -> None:
+    """Checks that two images were taken from one place, by the markers that both show.
+
+    Two of three images that a camera repeats, or an old one that comes late, would outvote the only
+    one that shows where the camera stands now.
+
+    Raises:
+        NoMarkerError: They have no marker in common.
+        StaleImageError: Half of the corners are elsewhere.
+    """
+    places = {item.id: item.corners for item in before.markers}
+    pairs = [(item.corners, places[item.id]) for item in now.markers if item.id in places]
+    if not pairs:
+        raise NoMarkerError(
+            "several images of one place were looked at, and one shows other markers than the one "
+            "before; a marker that all of them show is accepted"
+        )
+    apart = float(np.median([np.linalg.norm(a - b, axis=1) for a, b in pairs]))
+    if apart > _APART_PX:
+        raise StaleImageError(
+            f"several images of one place were looked at, but the markers are {apart:.0f} px from "
+            f"where the image before showed them; up to {_APART_PX:g} px, of a camera that runs "
+            f"and stands still, are accepted"
+        )
 
 
 def _mean(items: Sequence[Observation]) -> tuple[Array, Array]:

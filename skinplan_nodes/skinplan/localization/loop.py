@@ -24,7 +24,7 @@ from skinplan.errors import (
 )
 from skinplan.localization.approach import Approach, next_goal, stop_miss_m
 from skinplan.localization.drive_watch import DriveWatch
-from skinplan.localization.fuse import fuse
+from skinplan.localization.fuse import fuse, require_same_view
 from skinplan.localization.loop_cell import Cell, Estimate, View
 from skinplan.localization.model import Sighting, WorkpiecePose
 from skinplan.localization.pose import locate
@@ -71,10 +71,12 @@ class ApproachLoop:
         fixture: The markers to look for.
         settings: When to end.
         is_cancelled: Asked often.
+        last_image: The newest image that an earlier localisation looked at; None = there was none.
 
     Attributes:
         attempts: Estimates made.
         best_quality: Largest E so far.
+        last_image: The newest image that was looked at.
     """
 
     def __init__(
@@ -84,6 +86,7 @@ class ApproachLoop:
         fixture: Fixture,
         settings: ApproachSettings,
         is_cancelled: Callable[[], bool],
+        last_image: NDArray[np.uint8] | None = None,
     ) -> None:
         self._cell = cell
         self._config = config
@@ -93,7 +96,7 @@ class ApproachLoop:
         self._tracker = MarkerTracker(fixture, config.quality, config.camera.corners)
         self._moved = False
         self._after_s = 0.0
-        self._last_image: NDArray[np.uint8] | None = None
+        self.last_image = last_image
         self._repeats = 0
         # The camera before the last drive, in the workpiece; how far that drive was to bring it,
         # and how far at most if the wheels slip on a part.
@@ -149,33 +152,39 @@ class ApproachLoop:
 
     def _estimate(self) -> tuple[View, WorkpiecePose | None, SkinplanError | None]:
         """Returns the last image, the pose, or why there is none that another look may find."""
+        quality = self._config.quality
         sightings: list[Sighting] = []
         while True:
             view = self._cell.look(self._after_s, self._is_cancelled)
             self._after_s = view.stamp_s
-            self._check_image(view.image)
-            sightings.append(self._tracker.observe(view.image, view.camera))
-            self._cell.seen(sightings[-1], view)
-            if len(sightings) >= self._settings.images or not sightings[-1].markers:
-                break
-        quality = self._config.quality
-        try:
-            fused = fuse(sightings, view.camera, self._fixture, quality)
-            return view, locate(fused, view.camera, self._fixture, quality), None
-        except (NoMarkerError, AmbiguousPoseError) as error:
-            return view, None, error
+            if self._is_repeated(view.image):
+                continue
+            sighting = self._tracker.observe(view.image, view.camera)
+            self._cell.seen(sighting, view)
+            try:
+                if sightings and sighting.markers:
+                    require_same_view(sightings[-1], sighting)
+                # An image without markers takes back what the images before have shown.
+                sightings = [*sightings, sighting] if sighting.markers else [sighting]
+                if sighting.markers and len(sightings) < self._settings.images:
+                    continue
+                fused = fuse(sightings, view.camera, self._fixture, quality)
+                return view, locate(fused, view.camera, self._fixture, quality), None
+            except (NoMarkerError, AmbiguousPoseError) as error:
+                return view, None, error
 
-    def _check_image(self, image: NDArray[np.uint8]) -> None:
-        """Notices a camera that repeats one image under new stamps."""
-        last = self._last_image
+    def _is_repeated(self, image: NDArray[np.uint8]) -> bool:
+        """Notices a camera that repeats one image under new stamps; such an image tells nothing."""
+        last = self.last_image
         same = last is not None and np.ptp(image) > 0 and np.array_equal(last, image)
         self._repeats = self._repeats + 1 if same else 0
-        self._last_image = image
+        self.last_image = image
         if self._repeats >= _REPEATS or (same and self._before is not None):
             raise StaleImageError(
                 "a new image was waited for, the camera repeats the same one pixel by pixel "
                 "under new stamps; a camera that runs is accepted"
             )
+        return bool(same)
 
     def _check_drive(self, pose: WorkpiecePose) -> None:
         """Compares what the image says of the last drive with its length."""

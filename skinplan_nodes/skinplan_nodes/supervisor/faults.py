@@ -80,6 +80,10 @@ def answer_to(code: int) -> Answer:
     return Answer.OPERATOR if code in OPERATOR else Answer.FATAL
 
 
+# How long a job waits before it goes on by itself for the first, the second ... time [s].
+_PATIENCE_S = (0.0, 2.0, 5.0, 10.0)
+
+
 @dataclass
 class Interruption:
     """One time that a job stood still without being over.
@@ -108,8 +112,16 @@ class Attempts:
         self._most = most
         self._made: dict[tuple[int, str], int] = {}
 
-    def another(self, error: StepError) -> bool:
-        """Counts one more; False = there were enough."""
+    def another(self, error: StepError) -> float | None:
+        """Counts one more; returns how long to wait before it [s], None = there were enough.
+
+        The first comes at once; a camera or a driver that starts anew takes some seconds.
+        """
         key = error.code, error.node
-        self._made[key] = self._made.get(key, 0) + 1
-        return self._made[key] <= self._most
+        made = self._made.get(key, 0)
+        self._made[key] = made + 1
+        return _PATIENCE_S[min(made, len(_PATIENCE_S) - 1)] if made < self._most else None
+
+    def forget(self) -> None:
+        """Counts from the begin again: somebody has looked at what failed."""
+        self._made.clear()

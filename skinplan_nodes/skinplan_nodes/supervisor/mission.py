@@ -85,6 +85,7 @@ class Mission:
         self._code_of = code_of
         self._on_progress = on_progress
         self._attempts = Attempts(settings.attempts)
+        self._not_before_s = 0.0
         self._restoring = Restoring(steps, control)
         self._held: tuple[Interruption, float] | None = None
         self.failure: StepError | None = None
@@ -273,21 +274,23 @@ class Mission:
             by_itself = by_itself and self._settings.at_start
         if not by_itself or answer_to(why.code) is not Answer.AUTOMATIC:
             return Event.HELD_OPERATOR
-        if not self._attempts.another(why):
-            self.failure = why
-            return Event.FAILED
+        patience_s = self._attempts.another(why)
+        if patience_s is None:
+            self._steps.record.folder.note("went on by itself often enough: RESUME is waited for")
+            return Event.HELD_OPERATOR
+        self._not_before_s = time.monotonic() + patience_s
         return Event.HELD_AUTOMATIC
 
     def _wait_for_operator(self) -> Event:
         return self._poll(lambda: None)
 
     def _recover(self) -> Event:
-        """Waits until the cause is gone."""
+        """Waits until the cause is gone, and longer each time that it comes again."""
 
         def recovered() -> Event | None:
             missing = self._steps.cell.not_recovered()
             if missing is None:
-                return Event.DONE
+                return Event.DONE if time.monotonic() >= self._not_before_s else None
             if answer_to(missing.code) is not Answer.AUTOMATIC:
                 self._hold(missing)
                 return Event.FAULT
@@ -320,6 +323,7 @@ class Mission:
             self._hold(InterruptError(asked))
         elif asked.event is Event.RESUME:
             self._restoring.by_operator = True
+            self._attempts.forget()
         return asked.event
 
     def _restore(self) -> Event:

@@ -44,7 +44,8 @@ RESUMING = (
     Parameter(
         "resume_attempts_max",
         3,
-        "So often a job goes on by itself after the same failure at the same node [1].",
+        "So often a job goes on by itself after the same failure at the same node; then it waits "
+        "for RESUME [1].",
         0,
         100,
     ),
