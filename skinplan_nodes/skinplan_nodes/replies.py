@@ -8,6 +8,7 @@ from typing import Any, overload
 from skinplan_msgs.msg import Status
 
 from skinplan import errors
+from skinplan.recording.disk import is_full
 from skinplan_nodes.offload import in_thread
 
 Handler = Callable[[Any, Any, Any], Status | None]
@@ -102,9 +103,12 @@ def status_of(error: BaseException, invalid: int = Status.INTERNAL) -> Status:
     """Returns the Status of an error.
 
     Args:
-        error: What was raised; of a `StageError` the cause decides the code.
+        error: What was raised; of a `StageError` the cause decides the code. A full disk has its
+            code, whatever could not be written.
         invalid: Code of an `InputError` that has none of its own: a malformed request.
     """
+    if is_full(error):
+        return Status(code=Status.DISK_FULL, message=str(error))
     if isinstance(error, errors.SkinplanError):
         return Status(code=_code(error, invalid), message=str(error))
     return Status(

@@ -1,5 +1,6 @@
 """An answer always goes out; a node as a program ends in order."""
 
+import errno
 import inspect
 import os
 import signal
@@ -76,6 +77,18 @@ def test_status_of_errors(error: Exception, code: int) -> None:
     status = status_of(error, invalid=Status.BAG_INVALID)
     assert status.code == code
     assert "x" in status.message
+
+
+def test_a_full_disk_has_its_code_whatever_could_not_be_written() -> None:
+    full = OSError(errno.ENOSPC, "no space left on device", "/runs/x")
+    assert status_of(full).code == Status.DISK_FULL
+    try:
+        raise errors.CloudInvalidError("/runs/x: the cloud can't be written") from full
+    except errors.CloudInvalidError as error:
+        status = status_of(error, invalid=Status.NO_CLOUD)
+    assert (status.code, "the cloud" in status.message) == (Status.DISK_FULL, True)
+    denied = OSError(errno.EACCES, "permission denied", "/runs/x")
+    assert status_of(denied).code == Status.INTERNAL
 
 
 def test_handlers_answer_whatever_happens(bench: Bench) -> None:

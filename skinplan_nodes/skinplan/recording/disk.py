@@ -33,6 +33,15 @@ def require_space(folder: Path, needed_bytes: int, least_free_bytes: int) -> Non
         )
 
 
+def is_full(error: BaseException | None) -> bool:
+    """Whether a full disk is behind an error, or behind one that it was raised from."""
+    while error is not None:
+        if isinstance(error, OSError) and error.errno in _FULL:
+            return True
+        error = error.__cause__
+    return False
+
+
 def write_error(path: Path, error: OSError) -> BagNotWritableError:
     """Names an error of writing to a bag; a full disk has a class of its own."""
     kind = DiskFullError if error.errno in _FULL else BagNotWritableError

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from skinplan.errors import SkinplanError
+from skinplan.recording.disk import is_full
 from skinplan_nodes.supervisor.control import (
     AbortError,
     InterruptError,
@@ -207,7 +208,7 @@ class Mission:
             if not isinstance(error, SkinplanError | OSError):
                 _log.error("unexpected error", exc_info=error)
             code = self._code_of(error) if isinstance(error, SkinplanError) else _INTERNAL
-            if isinstance(error, OSError) and error.errno == 28:
+            if is_full(error):
                 code = _DISK_FULL
             error = StepError(code, str(error) or type(error).__name__)
         error.step = error.step or self._steps.progress.title
