@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
@@ -20,6 +21,9 @@ from nodes.bench import Bench
 from nodes.shape_part import write_shape_part
 from nodes.small_part import write_small_part
 from nodes.supervised_cell import HOME, SupervisedCell, joints_of
+from skinplan.errors import JobStoreError
+from skinplan.jobs.model import JobRecord
+from skinplan.jobs.store import JobStore
 from skinplan.part.model import Part
 from skinplan_nodes.cell_supervisor import CellSupervisor
 from skinplan_nodes.qos import LATCHED, STATE
@@ -61,7 +65,11 @@ class Run:
         # Made early: a client that has just come up may miss an answer.
         self._clients = {
             kind: bench.tester.create_client(kind, name)
-            for kind, name in ((JobSubmit, "jobs/submit"), (JobCommand, "jobs/command"))
+            for kind, name in (
+                (JobSubmit, "jobs/submit"),
+                (JobCommand, "jobs/command"),
+                (JobGet, "jobs/get"),
+            )
         }
 
     def supervise(self, **values: Any) -> "Run":
@@ -98,6 +106,10 @@ class Run:
             if answer.done():
                 return answer.result()
         raise AssertionError("no answer")
+
+    def told(self) -> JobGet.Response:
+        """What the service says of the job."""
+        return self._call(JobGet, JobGet.Request(job_id="j1", with_history=True))
 
     def until(self, state: int, sub_state: str | None = None) -> JobStatus:
         def found() -> JobStatus | None:
@@ -389,6 +401,33 @@ def test_a_job_that_ends_by_an_error_nobody_foresaw_closes_its_bag(
     assert "nobody thought of it" in summary["error"]["message"]
     assert job.cell.calls.count("recorder/stop") == 1 and job.cell.recording is None
     job.stands_still()
+
+
+def test_a_job_can_be_commanded_while_its_store_can_t_be_written(
+    run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    stored, full = JobStore.update, threading.Event()
+
+    def update(store: JobStore, *given: Any) -> JobRecord:
+        if full.is_set():
+            raise JobStoreError("database or disk is full")
+        return stored(store, *given)
+
+    monkeypatch.setattr(JobStore, "update", update)
+    job = run().supervise().submit()
+    job.until_scanned(1)
+    full.set()
+    job.command(Ask.PAUSE)
+    job.until(JobStatus.INTERRUPTED, "paused")
+    assert job.told().job_status.state == JobStatus.INTERRUPTED
+    assert "paused" not in {change.sub_state for change in job.told().history}
+    full.clear()
+    patiently(lambda: "paused" in {change.sub_state for change in job.told().history})
+    full.set()
+    job.command(Ask.RESUME)
+    job.until(JobStatus.RUNNING)
+    full.clear()
+    job.ended()
 
 
 @pytest.mark.long

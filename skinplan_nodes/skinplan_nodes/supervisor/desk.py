@@ -105,8 +105,8 @@ class JobDesk:
             JobUnknownError: There is no such job.
         """
         if job_id:
-            return self._queue.as_of_now(self._store.get(job_id))
-        found = self._store.current() or next(iter(self._store.list(1)), None)
+            return self._queue.as_of_now(self._queue.known(job_id))
+        found = self._queue.active or self._store.current() or next(iter(self._store.list(1)), None)
         if found is None:
             raise JobUnknownError(
                 "the running or last job was asked for; the cell has had none yet"
@@ -143,7 +143,7 @@ class JobDesk:
         check_command(operator_name, reason)
         self._admission.check_operator(operator_name)
         with self._queue.lock:
-            record = self._store.get(job_id)
+            record = self._queue.known(job_id)
             state = apply_command(record, command)
             asked = JobCommand(command)
             text = _sentence(asked, reason, operator_name)

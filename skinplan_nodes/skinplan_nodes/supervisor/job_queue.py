@@ -74,6 +74,8 @@ class JobQueue:
         self.control = JobControl()
         self._time_left = TimeLeft()
         self._closed = False
+        # Why the job on the cell is in its state, when that could not be stored yet.
+        self._behind: str | None = None
         self._not_stored: tuple[JobRecord, Mapping[str, Any] | None] | None = None
 
     def abort_active(self, code: int, message: str, node: str = "") -> None:
@@ -140,13 +142,31 @@ class JobQueue:
             if record is None or record.job.job_id != job_id:
                 record = self._store.get(job_id)
             changed = _advanced(record, state, progress, run_folder, why)
-            try:
-                changed = self._store.update(changed, "" if why is None else str(why))
-            except JobStoreError as error:
-                _log.error("job %s: %s", job_id, error)
-            self.active = changed
+            self.active = changed = self._stored(changed, "" if why is None else str(why))
             self._time_left.begin(changed, self._now_s())
             self._on_change(self.as_of_now(changed))
+
+    def _stored(self, record: JobRecord, reason: str) -> JobRecord:
+        """Stores a record, now or with one of the next ticks."""
+        try:
+            record = self._store.update(record, reason)
+        except JobStoreError as error:
+            _log.error("job %s: %s", record.job.job_id, error)
+            self._behind = reason
+        else:
+            self._behind = None
+        return record
+
+    def known(self, job_id: str) -> JobRecord:
+        """Returns a job as it is, also while the store can't be written.
+
+        Raises:
+            JobUnknownError: There is no such job.
+        """
+        with self.lock:
+            if self.active is not None and self.active.job.job_id == job_id:
+                return self.active
+            return self._store.get(job_id)
 
     def finish(
         self,
@@ -187,6 +207,8 @@ class JobQueue:
             self._time_left.look(self._now_s(), time.monotonic())
             if self._not_stored is not None:
                 self._store_end(*self._not_stored)
+            elif self._behind is not None and self.active is not None:
+                self.active = self._stored(self.active, self._behind)
             if self.active is None:
                 self.run_next()
             elif self.active.state is JobState.RUNNING:
@@ -263,7 +285,7 @@ class JobQueue:
             _log.error("job %s: %s", over.job.job_id, error)
             self._not_stored = over, result
             return
-        self._not_stored = self.active = None
+        self._not_stored = self.active = self._behind = None
         self._on_change(over)
         self.retain()
         self.run_next()
