@@ -1,5 +1,6 @@
 """Jobs that are interrupted and go on, against a small cell of independent servers."""
 
+import errno
 import functools
 import json
 import os
@@ -29,6 +30,7 @@ from skinplan_nodes.cell_supervisor import CellSupervisor
 from skinplan_nodes.qos import LATCHED, STATE
 from skinplan_nodes.supervisor.machine import State
 from skinplan_nodes.supervisor.mission import Mission
+from skinplan_nodes.supervisor.run_folder import RunFolder
 
 Ask = JobCommand.Request
 QUICK: dict[str, Any] = {
@@ -428,6 +430,31 @@ def test_a_job_can_be_commanded_while_its_store_can_t_be_written(
     job.until(JobStatus.RUNNING)
     full.clear()
     job.ended()
+
+
+def test_a_summary_waits_for_space_on_the_disk(
+    run: Callable[..., Run], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    finished, full = RunFolder.finish, [True, True]
+
+    def finish(folder: RunFolder, summary: dict[str, Any]) -> None:
+        if full and full.pop():
+            raise OSError(errno.ENOSPC, "No space left on device")
+        finished(folder, summary)
+
+    monkeypatch.setattr(RunFolder, "finish", finish)
+    job = run().supervise().submit()
+    assert job.ended()["job"]["state"] == "Ended"
+    assert not full, "it was tried until there was space"
+
+
+def test_a_log_that_can_t_be_written_ends_no_job(run: Callable[..., Run]) -> None:
+    job = run().supervise().submit()
+    job.until_scanned(1)
+    log = job.runs / "j1" / "log" / "job.log"
+    log.unlink()
+    log.mkdir()
+    assert job.ended()["interruptions"] == []
 
 
 @pytest.mark.long

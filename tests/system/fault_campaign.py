@@ -258,7 +258,10 @@ def row(
     summary: dict[str, Any] = json.loads(path.read_text()) if path.is_file() else {}
     ended = {JobStatus.ENDED: "Ended", JobStatus.ABORTED: "Aborted"}
     over = cell.watch.is_over(job_id)
-    error = summary.get("error", {}) or {}
+    error = summary.get("error") or {}
+    if over and ended[cell.watch.status.state] == "Aborted" and not error:
+        status = cell.watch.status.status
+        error = {"code": status.code, "message": f"no summary: {status.message}"}
     return Row(
         case,
         ended[cell.watch.status.state] if over else "no result",
@@ -297,6 +300,8 @@ def run_cases(
     left = deque(cases)
     number = 0
     while left:
+        if disk is not None:
+            shutil.rmtree(disk / "runs", ignore_errors=True)
         with tempfile.TemporaryDirectory(prefix=name) as folder:
             cell = ServedCell(Path(folder), seed, factor, PATIENCE, disk=disk)
             identified = identified_part(cell, Path(folder))

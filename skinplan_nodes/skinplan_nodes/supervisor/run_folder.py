@@ -1,5 +1,6 @@
 """The folder of a run: complete when ``summary.json`` stands in it. Needs no ROS."""
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +17,8 @@ from skinplan.trajectory.model import StationTrajectory
 from skinplan.transforms import Array
 
 SUMMARY = "summary.json"
+
+_log = logging.getLogger(__name__)
 
 
 @dataclass(frozen=True)
@@ -97,10 +100,13 @@ class RunFolder:
         return self.path / SUMMARY
 
     def note(self, text: str) -> None:
-        """Adds a line to the job's own log, with the time of day (UTC)."""
+        """Adds a line to the job's own log, with the time of day (UTC); a full disk costs it."""
         stamp = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        with (self.log / "job.log").open("a", encoding="utf-8") as stream:
-            stream.write(f"{stamp} {text}\n")
+        try:
+            with (self.log / "job.log").open("a", encoding="utf-8") as stream:
+                stream.write(f"{stamp} {text}\n")
+        except OSError as error:
+            _log.error("%s: %s can't be noted: %s", self.log, text, error)
 
     def write_plan(
         self,

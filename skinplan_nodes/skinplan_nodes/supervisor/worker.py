@@ -14,13 +14,14 @@ from skinplan.inspection.report import write_report
 from skinplan.jobs.model import Job, JobState
 from skinplan.part.files import load_part
 from skinplan.part.model import Part
+from skinplan.recording.disk import is_full
 from skinplan.robot.cell import CellConfig
 from skinplan_nodes.part_cache import part_path
 from skinplan_nodes.supervisor.bag_parts import BagParts
 from skinplan_nodes.supervisor.cell import Cell
 from skinplan_nodes.supervisor.certificate import certified_motion
 from skinplan_nodes.supervisor.control import AbortError, JobControl, StepError
-from skinplan_nodes.supervisor.faults import NODE_LOST
+from skinplan_nodes.supervisor.faults import DISK_FULL, NODE_LOST
 from skinplan_nodes.supervisor.journal import JournalError, read_journal
 from skinplan_nodes.supervisor.limits import Limits
 from skinplan_nodes.supervisor.machine import State, job_state
@@ -41,6 +42,8 @@ from skinplan_nodes.supervisor.timeline import timeline
 
 OK = 1
 _RESUME_REFUSED = 805
+# A summary that finds no space on the disk is tried again after this [s].
+_AGAIN_S = 2.0
 _log = logging.getLogger(__name__)
 
 OnProgress = Callable[[State, Progress, str, StepError | None], None]
@@ -137,7 +140,9 @@ class JobWorker:
         if made.failure is not None:
             outcome = self._failed(made.failure, folder, made.data)
         try:
-            summary = self._write(job, made.part, folder, outcome, made.failure)
+            summary = self._written(
+                lambda: self._write(job, made.part, folder, outcome, made.failure), control
+            )
         except Exception as error:  # the job must come to an end, whatever it is
             _log.exception("job %s: writing the summary", job.job_id)
             return self._failed(self._step_error(error, "closing"), folder, made.data)
@@ -240,12 +245,25 @@ class JobWorker:
             _log.error("unexpected error", exc_info=error)
         known = error if isinstance(error, SkinplanError) else SkinplanError()
         code = _RESUME_REFUSED if isinstance(error, ResumeError) else self.code_of(known)
+        code = DISK_FULL if is_full(error) else code
         found = StepError(code, str(error) or type(error).__name__)
         found.step = "resuming" if isinstance(error, ResumeError) else step
         return found
 
     def _failed(self, error: StepError, folder: RunFolder | None, data: RunData) -> Outcome:
         return Outcome(JobState.ABORTED, error.code, sentence(error), folder, data)
+
+    def _written(self, write: Callable[[], dict[str, Any]], control: JobControl) -> dict[str, Any]:
+        """Writes the summary; on a full disk as soon as there is space again, bounded."""
+        deadline = time.monotonic() + self.settings.limits.operator_s
+        while True:
+            try:
+                return write()
+            except Exception as error:
+                if not is_full(error) or control.aborted or time.monotonic() > deadline:
+                    raise
+                _log.error("the summary waits for space on the disk: %s", error)
+                control.wait(_AGAIN_S)
 
     def _write(
         self,
