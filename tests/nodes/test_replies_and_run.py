@@ -87,6 +87,10 @@ def test_a_full_disk_has_its_code_whatever_could_not_be_written() -> None:
     except errors.CloudInvalidError as error:
         status = status_of(error, invalid=Status.NO_CLOUD)
     assert (status.code, "the cloud" in status.message) == (Status.DISK_FULL, True)
+    try:
+        raise (again := errors.NoMarkerError("none")) from again
+    except errors.NoMarkerError as error:
+        assert status_of(error).code == Status.NO_MARKER, "it is its own cause"
     denied = OSError(errno.EACCES, "permission denied", "/runs/x")
     assert status_of(denied).code == Status.INTERNAL
 

@@ -35,9 +35,12 @@ def require_space(folder: Path, needed_bytes: int, least_free_bytes: int) -> Non
 
 def is_full(error: BaseException | None) -> bool:
     """Whether a full disk is behind an error, or behind one that it was raised from."""
-    while error is not None:
+    # An error that was raised from itself has itself as its cause.
+    looked_at: list[BaseException] = []
+    while error is not None and error not in looked_at:
         if isinstance(error, OSError) and error.errno in _FULL:
             return True
+        looked_at.append(error)
         error = error.__cause__
     return False
 
