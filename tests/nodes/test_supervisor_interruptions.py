@@ -298,6 +298,13 @@ def test_an_arm_goal_that_never_ends_ends_the_job_in_time(run: Callable[..., Run
     job.stands_still()
 
 
+def test_the_pause_before_a_try_is_shorter_than_the_time_for_it(run: Callable[..., Run]) -> None:
+    job = run().supervise(recovery_timeout_s=1.0)
+    job.cell.stands_badly = 3
+    summary = job.submit().ended()
+    assert [s["code"] for s in summary["interruptions"]] == 3 * [Status.QUALITY_NOT_REACHED]
+
+
 def test_what_fails_again_and_again_is_left_to_the_operator(run: Callable[..., Run]) -> None:
     job = run().supervise(resume_attempts_max=1)
     job.cell.stands_badly = 100

@@ -254,7 +254,10 @@ def test_a_part_that_jumps_farther_than_the_base_can_have_driven():
         return jumped.look(0.0, None).image
 
     cell.change_image = far_away
-    fails(cell, PartMovedError)
+    error = fails(cell, PartMovedError)
+    assert "the camera was driven" in str(error)
+    assert cell.looks == 2 * SETTINGS.images, "nothing was driven by what is seen then"
+    assert max(difference(cell.goals[-1], base_facing(0.0, 1.7, 0.0))) < 1e-9, "but the way back"
 
 
 def test_a_camera_that_comes_too_near_while_driving_stops_the_base():

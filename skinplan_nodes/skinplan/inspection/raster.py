@@ -101,7 +101,11 @@ def _close_gaps(mean: Array, filled: NDArray[np.bool_]) -> tuple[Array, NDArray[
 def closed(filled: NDArray[np.bool_], reach_px: int) -> NDArray[np.bool_]:
     """Returns the closing by a diamond: as `reach_px` dilations, then erosions, by a cross.
 
-    Two distance transforms take a hundredth of the time that the steps take.
+    Two distance transforms take the same time whatever the reach is.
+
+    Args:
+        filled: Mask, shape (h, w).
+        reach_px: Of the diamond [px].
     """
     if not filled.any():
         return filled.copy()

@@ -107,7 +107,7 @@ def qos_profiles(node: object) -> tuple[QosProfile, ...]:
 
 @lru_cache(maxsize=256)
 def _of_text(text: str) -> tuple[QosProfile, ...]:
-    """A bag has tens of topics with a handful of profiles, each 10 ms of YAML."""
+    """A bag has tens of topics with a handful of profiles, each 5 ms of YAML."""
     try:
         node = yaml.safe_load(text)
     except (yaml.YAMLError, ValueError, RecursionError) as error:

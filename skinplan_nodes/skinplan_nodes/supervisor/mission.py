@@ -279,6 +279,8 @@ class Mission:
         if patience_s is None:
             self._steps.record.folder.note("went on by itself often enough: RESUME is waited for")
             return Event.HELD_OPERATOR
+        # Well before the state itself lasts too long.
+        patience_s = min(patience_s, 0.5 * self._limits.recovering_s)
         self._not_before_s = time.monotonic() + patience_s
         return Event.HELD_AUTOMATIC
 
