@@ -30,6 +30,7 @@ from skinplan_nodes.conversions import (
     pose_stamped_to_msg,
     transform_stamped_to_msg,
 )
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.localize_server import LocalizeServer, asked_quality
 from skinplan_nodes.marker_watch import DetectionRecord, MarkerWatcher
 from skinplan_nodes.node import CellNode
@@ -215,7 +216,7 @@ class ArucoLocalizer(CellNode):
             callback_group=camera,
         )  # fmt: skip
         self.create_subscription(messages.PartPose, "part_pose", self._on_part_pose, LATCHED)
-        self.create_subscription(TFMessage, "tf", self._on_tf, STATE, callback_group=moving)
+        subscribe_draining(self, TFMessage, "tf", self._on_tf, STATE, moving)
         self.create_subscription(
             TFMessage, "tf_static", self._on_tf, STATIC_TF, callback_group=moving
         )

@@ -3,13 +3,15 @@
 import math
 import threading
 from collections.abc import Callable
+from typing import Any
 
+from geometry_msgs.msg import TransformStamped
 from tf2_msgs.msg import TFMessage
 
 from skinplan.errors import FrameMissingError, InputError, LocalizationError
 from skinplan.localization.frames import TransformTree
 from skinplan.transforms import Array, difference
-from skinplan_nodes.conversions import transform_stamped_from_msg
+from skinplan_nodes.conversions import stamp_from_msg, transform_stamped_from_msg
 
 # Smaller differences between two poses of the base are noise of its odometry.
 _STILL_M = 2e-4
@@ -23,6 +25,8 @@ class Frames:
         self._base_frame = base_frame
         self._tree = TransformTree()
         self._lock = threading.Lock()
+        # Child -> parent and numbers of its newest transform: most stand still most of the time.
+        self._newest: dict[str, tuple[Any, ...]] = {}
         self._base: Array | None = None
         self._moved_s = 0.0
         self._known_s = math.inf
@@ -37,17 +41,34 @@ class Frames:
         refused, based = [], False
         for item in msg.transforms:
             try:
-                parent, child, T_parent_child, stamp_s = transform_stamped_from_msg(item)
-                with self._lock:
-                    self._tree.set(parent, child, T_parent_child, stamp_s)
-                    if child == self._base_frame:
-                        self._watch(T_parent_child, stamp_s)
-                        based = True
+                based |= self._take(item)
             except InputError as error:
                 refused.append(str(error))
         if based and self._on_base is not None:
             self._on_base()
         return refused
+
+    def _take(self, item: TransformStamped) -> bool:
+        """Takes one transform in; returns whether it is a pose of the base."""
+        moved, turned = item.transform.translation, item.transform.rotation
+        numbers = (moved.x, moved.y, moved.z, turned.x, turned.y, turned.z, turned.w)
+        newest, child = (item.header.frame_id, *numbers), item.child_frame_id.lstrip("/")
+        if self._newest.get(child) == newest:
+            stamp_s = stamp_from_msg(item.header.stamp)
+            with self._lock:
+                self._tree.renew(child, stamp_s)
+                if child == self._base_frame:
+                    self._known_s = stamp_s
+            return child == self._base_frame
+        parent, child, T_parent_child, stamp_s = transform_stamped_from_msg(item)
+        with self._lock:
+            self._tree.set(parent, child, T_parent_child, stamp_s)
+            if child == self._base_frame:
+                self._watch(T_parent_child, stamp_s)
+            if self._tree.stamp(child) <= stamp_s:
+                # Neither refused nor older than what is known.
+                self._newest[child] = newest
+        return child == self._base_frame
 
     def lookup(self, target: str, source: str) -> Array:
         """Returns ``T_target_source``, shape (4, 4) [m].

@@ -19,7 +19,7 @@ JOINT_RATE_HZ = 125.0
 
 # Cell time runs no faster while plans are made: every node works for time that nobody needs, and
 # the planner waits for a core.
-COMPUTING_FACTOR = 5.0
+COMPUTING_FACTOR = 1.0
 # Images per second of wall time at most: rendering, sending and packing one costs 0.06 s of CPU,
 # and who looks for the part waits for a dozen of them.
 IMAGE_RATE_HZ = 8.0

@@ -26,6 +26,7 @@ from skinplan_nodes.conversions import (
     scan_frame_from_msg,
 )
 from skinplan_nodes.depth_views import DepthViews
+from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.frame_tree import Frames
 from skinplan_nodes.node import CellNode
 from skinplan_nodes.parameters import CELL_FILE, Parameter, load
@@ -115,7 +116,7 @@ class PartRecognizer(CellNode):
         )
         self._frames, self._depth = Frames(), DepthViews(self)
         for topic, qos in (("tf", STATE), ("tf_static", STATIC_TF)):
-            self.create_subscription(TFMessage, topic, self._on_tf, qos)
+            subscribe_draining(self, TFMessage, topic, self._on_tf, qos)
         self.create_service(
             IdentifyPart,
             "identify_part",

@@ -16,13 +16,13 @@ from rclpy.executors import (
     Executor,
     ExternalShutdownException,
     MultiThreadedExecutor,
-    SingleThreadedExecutor,
 )
 from rclpy.node import Node
 from rclpy.signals import SignalHandlerOptions
 
 from skinplan.errors import SkinplanError
 from skinplan_nodes.dds_profiles import use_profiles
+from skinplan_nodes.lean_executor import LeanExecutor
 from skinplan_nodes.node import end_heartbeats
 
 _PR_SET_PDEATHSIG = 1
@@ -143,4 +143,4 @@ def _executor(node: Node) -> Executor:
     threads = int(getattr(node, "THREADS", 1))
     if threads > 1:
         return MultiThreadedExecutor(threads, context=node.context)
-    return SingleThreadedExecutor(context=node.context)
+    return LeanExecutor(context=node.context)

@@ -11,13 +11,13 @@ from rclpy.context import Context
 from rclpy.executors import (
     ExternalShutdownException,
     MultiThreadedExecutor,
-    SingleThreadedExecutor,
 )
 from rclpy.node import Node
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
 from skinplan_nodes.conversions import stamp_to_msg
+from skinplan_nodes.lean_executor import LeanExecutor
 
 TIMEOUT_S = 20.0
 
@@ -31,7 +31,7 @@ class Bench:
         if threads > 1:
             self._executor: Any = MultiThreadedExecutor(threads, context=self.context)
         else:
-            self._executor = SingleThreadedExecutor(context=self.context)
+            self._executor = LeanExecutor(context=self.context)
         self._nodes: list[Node] = []
         self.tester = Node("tester", context=self.context, use_global_arguments=False)
         self._clock = self.tester.create_publisher(Clock, "/clock", 10)

@@ -37,6 +37,16 @@ class TransformTree:
             )
         self._parents[child] = (parent, checked, float(stamp_s))
 
+    def renew(self, child: str, stamp_s: float) -> None:
+        """Takes it that a frame's transform to its parent still holds; see `set`.
+
+        Args:
+            child: Name of the frame, which is known.
+            stamp_s: Time that it holds for [s].
+        """
+        parent, T_parent_child, known_s = self._parents[child]
+        self._parents[child] = (parent, T_parent_child, max(known_s, float(stamp_s)))
+
     def lookup(self, target: str, source: str) -> Array:
         """Returns ``T_target_source``, shape (4, 4) [m].
 

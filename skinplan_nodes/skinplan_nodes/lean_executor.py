@@ -1,0 +1,256 @@
+"""rclpy's executor of one thread, at a third of its cost for each message.
+
+rclpy's own gathers every topic, timer and service of a node for each wait, and wakes itself after
+each callback in case another thread waits, so that it does all of it twice. With one thread nobody
+else waits; and what is waited for changes only when something is created or destroyed, of which
+nodes tell the executor.
+"""
+
+import inspect
+from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from typing import Any
+
+from rclpy.context import Context
+from rclpy.exceptions import InvalidHandle
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.subscription import Subscription
+from rclpy.waitable import NumberOfEntities
+
+_FOREVER_NS = -1
+_MESSAGE_ONLY = Subscription.CallbackType.MessageOnly
+
+
+class LeanExecutor(SingleThreadedExecutor):
+    """Runs the callbacks of nodes in the thread that calls `spin`, as its base class does.
+
+    While a coroutine waits for something, the base class does the work: it knows which callbacks
+    have to wait with it.
+    """
+
+    def __init__(self, *, context: Context | None = None) -> None:
+        super().__init__(context=context)
+        self._waiting: _WaitList | None = None
+
+    def spin(self) -> None:
+        """Runs callbacks until the executor or its context is shut.
+
+        Raises:
+            ExternalShutdownException: The context was shut.
+        """
+        try:
+            while self._context.ok() and not self._is_shutdown:
+                self.spin_once()
+        finally:
+            self._forget()
+
+    def spin_once(self, timeout_sec: float | None = None) -> None:
+        """Waits until something is ready and runs all that is; with a limit as the base class."""
+        if timeout_sec is not None or self._has_tasks():
+            # It may take the word that something was created.
+            self._forget()
+            super().spin_once(timeout_sec)
+            return
+        self._cb_iter = None
+        if self._waiting is None:
+            self._waiting = _WaitList(self)
+        waiting = self._waiting
+        for run in waiting.wait():
+            if self._is_shutdown or not self._context.ok():
+                return
+            run()
+        if waiting.is_stale:
+            self._forget()
+
+    def _has_tasks(self) -> bool:
+        """Goes on with what was left to be done; True = some of it still waits for something."""
+        if not self._tasks:
+            return False
+        with self._tasks_lock:
+            tasks = [task for task, _, _ in self._tasks]
+        for task in tasks:
+            _finish(task)
+        with self._tasks_lock:
+            self._tasks = [item for item in self._tasks if not _is_over(item[0])]
+            return bool(self._tasks)
+
+    def _forget(self) -> None:
+        if self._waiting is not None:
+            self._waiting.close()
+            self._waiting = None
+
+    def runner(self, entity: Any, node: Any, take: Any) -> Callable[[], None]:
+        """Returns what runs an entity that is ready: as a task, which may wait for something."""
+
+        def run() -> None:
+            if entity.callback_group.can_execute(entity):
+                _finish(self._make_handler(entity, node, take))
+
+        return run
+
+    def entities(self) -> dict[str, list[tuple[Any, Callable[[], None]]]]:
+        """Returns what can be waited for and what runs it, by kind, in the order of running."""
+        found: dict[str, list[tuple[Any, Callable[[], None]]]] = {}
+        for node in self.get_nodes():
+            for kind, entities, take, fast in (
+                ("waitable", node.waitables, self._take_waitable, None),
+                ("timer", node.timers, self._take_timer, _run_timer),
+                ("subscription", node.subscriptions, self._take_subscription, _run_subscription),
+                ("guard_condition", node.guards, self._take_guard_condition, None),
+                ("client", node.clients, self._take_client, None),
+                ("service", node.services, self._take_service, None),
+            ):
+                for entity in entities:
+                    if fast is None or inspect.iscoroutinefunction(entity.callback):
+                        run = self.runner(entity, node, take)
+                    else:
+                        run = _bound(fast, entity)
+                    found.setdefault(kind, []).append((entity, run))
+        return found
+
+    def own_guards(self) -> list[Any]:
+        """Returns the guards with which the executor is woken."""
+        return [guard for guard in (self._guard, self._sigint_gc) if guard is not None]
+
+    @property
+    def is_shut(self) -> bool:
+        """Whether the executor was shut."""
+        return bool(self._is_shutdown)
+
+
+class _WaitList:
+    """All that the nodes of an executor wait for; held, so that nothing is freed meanwhile.
+
+    Attributes:
+        is_stale: Something was created, destroyed or left to be done: to be made anew.
+    """
+
+    def __init__(self, executor: LeanExecutor) -> None:
+        self.is_stale = False
+        self._executor = executor
+        self._held = ExitStack()
+        self._waitables: list[tuple[Any, Callable[[], None]]] = []
+        # Kind -> address of the entity that is waited for -> what runs it.
+        self._runs: dict[str, dict[int, Callable[[], None]]] = {}
+        self._adds: list[tuple[Callable[[Any, Any], Any], Any]] = []
+        size = NumberOfEntities()
+        wait_set = rclpy_implementation.WaitSet
+        adds = {
+            "timer": wait_set.add_timer,
+            "subscription": wait_set.add_subscription,
+            "guard_condition": wait_set.add_guard_condition,
+            "client": wait_set.add_client,
+            "service": wait_set.add_service,
+        }
+        context = executor.context.handle
+        self._held.enter_context(context)
+        found = executor.entities()
+        self._own = executor.own_guards()
+        found.setdefault("guard_condition", []).extend((guard, _nothing) for guard in self._own)
+        for waitable, run in found.pop("waitable", []):
+            with suppress(InvalidHandle):
+                self._held.enter_context(waitable)
+                size += waitable.get_num_entities()
+                self._waitables.append((waitable, run))
+        for kind, entities in found.items():
+            runs = self._runs[kind] = {}
+            for entity, run in entities:
+                with suppress(InvalidHandle):
+                    self._held.enter_context(entity.handle)
+                    self._adds.append((adds[kind], entity.handle))
+                    runs[entity.handle.pointer] = run
+        self._own_pointers = {guard.handle.pointer for guard in self._own}
+        self._set = wait_set(
+            size.num_subscriptions + len(self._runs.get("subscription", ())),
+            size.num_guard_conditions + len(self._runs["guard_condition"]),
+            size.num_timers + len(self._runs.get("timer", ())),
+            size.num_clients + len(self._runs.get("client", ())),
+            size.num_services + len(self._runs.get("service", ())),
+            size.num_events,
+            context,
+        )
+
+    def wait(self) -> list[Callable[[], None]]:
+        """Waits until something is ready; returns what runs it.
+
+        Raises:
+            ExternalShutdownException: The context was shut.
+        """
+        ready_set = self._set
+        ready_set.clear_entities()
+        for add, handle in self._adds:
+            add(ready_set, handle)
+        for waitable, _ in self._waitables:
+            waitable.add_to_wait_set(ready_set)
+        ready_set.wait(_FOREVER_NS)
+        if self._executor.is_shut:
+            return []
+        if not self._executor.context.ok():
+            raise ExternalShutdownException
+        found = [run for waitable, run in self._waitables if waitable.is_ready(ready_set)]
+        for kind, runs in self._runs.items():
+            for pointer in ready_set.get_ready_entities(kind):
+                self.is_stale |= pointer in self._own_pointers
+                if pointer in runs:
+                    found.append(runs[pointer])
+        return found
+
+    def close(self) -> None:
+        """Lets go of what was waited for."""
+        self._held.close()
+
+
+def _finish(task: Any) -> None:
+    """Runs a task as far as it goes; its error ends the executor, as in rclpy's own."""
+    if not _is_over(task):
+        task()
+    if task.done() and task.exception() is not None:
+        raise task.exception()
+
+
+def _is_over(task: Any) -> bool:
+    return bool(task.done() or task.cancelled())
+
+
+def _nothing() -> None:
+    pass
+
+
+def _bound(run: Callable[[Any], None], entity: Any) -> Callable[[], None]:
+    return lambda: run(entity)
+
+
+def _run_timer(timer: Any) -> None:
+    if not timer.callback_group.beginning_execution(timer):
+        return
+    try:
+        try:
+            with timer.handle:
+                # A timer that was cancelled meanwhile is still in the list of those ready.
+                if not timer.handle.is_timer_ready():
+                    return
+                timer.handle.call_timer()
+        except InvalidHandle:
+            # Destroyed by another callback of the same wake.
+            return
+        timer.callback()
+    finally:
+        timer.callback_group.ending_execution(timer)
+
+
+def _run_subscription(subscription: Any) -> None:
+    if not subscription.callback_group.beginning_execution(subscription):
+        return
+    try:
+        try:
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+        except InvalidHandle:
+            # Destroyed by another callback of the same wake.
+            return
+        if taken is not None:
+            message_only = subscription._callback_type is _MESSAGE_ONLY
+            subscription.callback(*(taken[:1] if message_only else taken))
+    finally:
+        subscription.callback_group.ending_execution(subscription)
