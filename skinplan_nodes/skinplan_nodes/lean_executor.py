@@ -23,11 +23,7 @@ _MESSAGE_ONLY = Subscription.CallbackType.MessageOnly
 
 
 class LeanExecutor(SingleThreadedExecutor):
-    """Runs the callbacks of nodes in the thread that calls `spin`, as its base class does.
-
-    While a coroutine waits for something, the base class does the work: it knows which callbacks
-    have to wait with it.
-    """
+    """Runs the callbacks of nodes in the thread that calls `spin`, as its base class does."""
 
     def __init__(self, *, context: Context | None = None) -> None:
         super().__init__(context=context)
@@ -47,33 +43,32 @@ class LeanExecutor(SingleThreadedExecutor):
 
     def spin_once(self, timeout_sec: float | None = None) -> None:
         """Waits until something is ready and runs all that is; with a limit as the base class."""
-        if timeout_sec is not None or self._has_tasks():
+        if timeout_sec is not None:
             # It may take the word that something was created.
             self._forget()
             super().spin_once(timeout_sec)
             return
         self._cb_iter = None
-        if self._waiting is None:
-            self._waiting = _WaitList(self)
-        waiting = self._waiting
-        for run in waiting.wait():
+        left = self._go_on()
+        if self._waiting is None or self._waiting.is_stale or self._waiting.beside != left:
+            self._forget()
+            self._waiting = _WaitList(self, left)
+        for run in self._waiting.wait():
             if self._is_shutdown or not self._context.ok():
                 return
             run()
-        if waiting.is_stale:
-            self._forget()
 
-    def _has_tasks(self) -> bool:
-        """Goes on with what was left to be done; True = some of it still waits for something."""
+    def _go_on(self) -> list[Any]:
+        """Goes on with coroutines that wait for something; returns those that still do."""
         if not self._tasks:
-            return False
+            return []
         with self._tasks_lock:
             tasks = [task for task, _, _ in self._tasks]
         for task in tasks:
             _finish(task)
         with self._tasks_lock:
             self._tasks = [item for item in self._tasks if not _is_over(item[0])]
-            return bool(self._tasks)
+            return [task for task, _, _ in self._tasks]
 
     def _forget(self) -> None:
         if self._waiting is not None:
@@ -90,7 +85,10 @@ class LeanExecutor(SingleThreadedExecutor):
         return run
 
     def entities(self) -> dict[str, list[tuple[Any, Callable[[], None]]]]:
-        """Returns what can be waited for and what runs it, by kind, in the order of running."""
+        """Returns what can be waited for and what runs it, by kind, in the order of running.
+
+        What has to wait with a coroutine of its group is left out.
+        """
         found: dict[str, list[tuple[Any, Callable[[], None]]]] = {}
         for node in self.get_nodes():
             for kind, entities, take, fast in (
@@ -102,6 +100,8 @@ class LeanExecutor(SingleThreadedExecutor):
                 ("service", node.services, self._take_service, None),
             ):
                 for entity in entities:
+                    if not self.can_execute(entity):
+                        continue
                     if fast is None or inspect.iscoroutinefunction(entity.callback):
                         run = self.runner(entity, node, take)
                     else:
@@ -123,11 +123,13 @@ class _WaitList:
     """All that the nodes of an executor wait for; held, so that nothing is freed meanwhile.
 
     Attributes:
-        is_stale: Something was created, destroyed or left to be done: to be made anew.
+        is_stale: Something was created, destroyed or has to be done: to be made anew.
+        beside: Coroutines that wait for something; what their groups hold is not waited for.
     """
 
-    def __init__(self, executor: LeanExecutor) -> None:
+    def __init__(self, executor: LeanExecutor, beside: list[Any]) -> None:
         self.is_stale = False
+        self.beside = beside
         self._executor = executor
         self._held = ExitStack()
         self._waitables: list[tuple[Any, Callable[[], None]]] = []
@@ -183,7 +185,9 @@ class _WaitList:
             add(ready_set, handle)
         for waitable, _ in self._waitables:
             waitable.add_to_wait_set(ready_set)
-        ready_set.wait(_FOREVER_NS)
+        # Shut before this list was made, it has no guard that would wake it.
+        if not self._executor.is_shut:
+            ready_set.wait(_FOREVER_NS)
         if self._executor.is_shut:
             return []
         if not self._executor.context.ok():

@@ -72,3 +72,14 @@ def test_what_is_no_tree_or_transform_is_refused(parent, child, pose):
     with pytest.raises(InputError):
         tree.set(parent, child, pose, 5.0)
     assert tree.frames == ("arm", "base", "camera", "map", "tracker")
+
+
+def test_a_renewed_transform_stays_and_is_as_old_as_its_newest_time() -> None:
+    tree = TransformTree()
+    tree.set("a", "b", transform((1.0, 0.0, 0.0)), 1.0)
+    tree.renew("b", 3.0)
+    assert tree.stamp("b") == 3.0
+    tree.renew("b", 2.0)
+    assert tree.stamp("b") == 3.0
+    tree.set("a", "b", transform((9.0, 0.0, 0.0)), 2.0)
+    assert tree.lookup("a", "b")[0, 3] == 1.0
