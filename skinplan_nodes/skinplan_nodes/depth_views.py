@@ -51,6 +51,9 @@ class DepthViews:
         self._lock = threading.Lock()
         self._info: CameraInfo | None = None
         self._clouds: list[PointCloud2] = []
+        # The newest image, also of a question before, and how often it came again.
+        self._newest: PointCloud2 | None = None
+        self._repeats = 0
 
     def take(
         self,
@@ -68,12 +71,13 @@ class DepthViews:
             is_cancelled: Asked while waiting.
 
         Raises:
-            RefusedError: They do not come in time (NO_IMAGE).
+            RefusedError: They do not come in time (NO_IMAGE), or the camera repeats one image under
+                new stamps (STALE_IMAGE): it may be of another place.
             LocalizationCancelledError: It was cancelled.
             InputError: They can't be read, or are of several frames.
         """
         with self._lock:
-            self._info, self._clouds = None, []
+            self._info, self._clouds, self._repeats = None, [], 0
         subscriptions = [
             self._node.create_subscription(
                 CameraInfo,
@@ -108,10 +112,18 @@ class DepthViews:
         while True:
             with self._lock:
                 found, informed = len(self._clouds), self._info is not None
+                repeats = self._repeats
             if found >= count and informed:
                 return
             if is_cancelled():
                 raise cancelled()
+            if time.monotonic() > deadline and repeats:
+                raise RefusedError(
+                    Status.STALE_IMAGE,
+                    f"{count} new depth images were waited for; {found} came within {timeout_s:g} "
+                    f"s, and {repeats} times the camera repeated the same one under a new stamp; a "
+                    "camera that runs is accepted",
+                )
             if time.monotonic() > deadline:
                 raise RefusedError(
                     Status.NO_IMAGE,
@@ -126,6 +138,10 @@ class DepthViews:
             self._info = message
 
     def _on_cloud(self, message: PointCloud2, since_s: float) -> None:
-        if stamp_from_msg(message.header.stamp) >= since_s:
-            with self._lock:
+        with self._lock:
+            before, self._newest = self._newest, message
+            # No two images of a camera that runs are the same; only those of nothing are.
+            if before is not None and len(message.data) and before.data == message.data:
+                self._repeats += 1
+            elif stamp_from_msg(message.header.stamp) >= since_s:
                 self._clouds.append(message)

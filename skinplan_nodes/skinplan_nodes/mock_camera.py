@@ -4,6 +4,7 @@ import sys
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from geometry_msgs.msg import PoseStamped
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.timer import Timer
@@ -77,6 +78,8 @@ class MockCamera(CellLifecycleNode):
             PoseStamped, "truth/workpiece_pose", self._on_workpiece_pose, LATCHED
         )
         self._last: Picture | None = None
+        self._pictured_from = np.eye(4)
+        self._points: Array | None = None
         self._face = DeviceFace(self, "camera")
         self._faults = FaultFace(self, _KINDS, self._on_fault, self._on_fault_end)
         self.autostart()
@@ -134,7 +137,7 @@ class MockCamera(CellLifecycleNode):
         self._infos.publish(camera_info_to_msg(self._info, FRAME, stamp_s))
         self._images.publish(image_to_msg(image, FRAME, stamp_s))
         if self._depth_is_wanted():
-            points = self._depth().cloud(T_camera_workpiece)
+            points = self._seen(T_camera_workpiece)
             self._clouds.publish(scan_frame_to_msg(ScanFrame(points, {}, FRAME, stamp_s)))
 
     def _depth_is_wanted(self) -> bool:
@@ -142,6 +145,15 @@ class MockCamera(CellLifecycleNode):
             return False
         listeners = self.get_subscriptions_info_by_topic(self._clouds.topic_name)
         return any(listener.node_name != _RECORDER for listener in listeners)
+
+    def _seen(self, T_camera_workpiece: Array) -> Array:
+        """Returns the points of a depth image; a frozen camera repeats that of its picture."""
+        if self._faults.book.values(FROZEN) is None:
+            self._points = None
+            return self._depth().cloud(T_camera_workpiece)
+        if self._points is None:
+            self._points = self._depth().cloud(self._pictured_from)
+        return self._points
 
     def _depth(self) -> DepthCamera:
         if self._depth_camera is None:
@@ -154,7 +166,7 @@ class MockCamera(CellLifecycleNode):
             return self._last
         dark = self._faults.book.values(DARK)
         camera.light = 1.0 if dark is None else dark["light"]
-        self._last = camera.render(T_camera_workpiece)
+        self._last, self._pictured_from = camera.render(T_camera_workpiece), T_camera_workpiece
         return self._last
 
     def _on_fault(self, fault: Fault) -> None:

@@ -9,7 +9,7 @@ import pytest
 from geometry_msgs.msg import PoseStamped
 from sensor_msgs.msg import PointCloud2
 from skinplan_msgs.msg import Status
-from skinplan_msgs.srv import IdentifyPart
+from skinplan_msgs.srv import IdentifyPart, InjectFault
 from tf2_msgs.msg import TFMessage
 
 from nodes.bench import Bench
@@ -116,6 +116,22 @@ def test_the_part_on_the_fixture_is_told(bench: Bench, parts: dict[str, Part]) -
     none = cell.ask_here(parts["other"])
     assert (none.index, none.fits) == (-1, [False])
     assert none.status.message.startswith("unknown part (other: ")
+
+
+def test_a_frozen_camera_is_no_answer(bench: Bench, parts: dict[str, Part]) -> None:
+    """It repeats what it saw before the base came here, under new stamps."""
+    cell = Cell(bench, parts["rib"])
+    assert cell.ask_here(parts["rib"]).status.code == Status.OK
+    fault = InjectFault.Request(fault="frozen")
+    assert bench.call(InjectFault, "mock_camera/inject_fault", fault).status.code == Status.OK
+    # The first one shows when the camera froze, not that it did.
+    cell.ask_here(parts["rib"])
+    frozen = cell.ask_here(parts["rib"])
+    assert frozen.status.code == Status.STALE_IMAGE, frozen.status.message
+    assert "times the camera repeated the same one under a new stamp" in frozen.status.message
+    thawed = InjectFault.Request(fault="")
+    assert bench.call(InjectFault, "mock_camera/inject_fault", thawed).status.code == Status.OK
+    assert cell.ask_here(parts["rib"]).status.code == Status.OK
 
 
 def test_questions_that_can_not_be_answered_are_named(bench: Bench, parts: dict[str, Part]) -> None:
