@@ -349,18 +349,21 @@ def shown(tables: Iterable[Path]) -> str:
     """Returns written tables as one of faults by states.
 
     A number is how long a job took from the fault to its end [s], when it was Ended; one that was
-    Aborted has its code, too.
+    Aborted has its code, too. There is one for each seed, in their order; ``-`` = not run.
     """
-    found: dict[tuple[str, str], list[str]] = defaultdict(list)
+    found: dict[tuple[str, str], dict[int, str]] = defaultdict(dict)
     for values in (values for table in tables for values in rows_of(table)):
         end, _, code = values["end"].partition(" ")
         text = values["after the fault [s]"] + (f" ({code})" if end == "Aborted" else "")
         bad = values["note"].endswith("**bad**")
-        found[values["fault"], values["state"]].append(f"**{text}**" if bad else text)
+        case = found[values["fault"], values["state"]]
+        case[int(values["seed"])] = f"**{text}**" if bad else text
+    seeds = sorted({seed for case in found.values() for seed in case})
     lines = ["| fault | " + " | ".join(STATES) + " |", "|---" * (len(STATES) + 1) + "|"]
     for fault in FAULTS:
-        cells = [", ".join(found[fault, state]) for state in STATES]
-        if any(cells):
+        cases = [found.get((fault, state), {}) for state in STATES]
+        if any(cases):
+            cells = [" ".join(case.get(seed, "-") for seed in seeds) for case in cases]
             lines.append(f"| {fault} | " + " | ".join(cells) + " |")
     return "\n".join(lines)
 
