@@ -143,5 +143,8 @@ class DepthViews:
             # No two images of a camera that runs are the same; only those of nothing are.
             if before is not None and len(message.data) and before.data == message.data:
                 self._repeats += 1
+                # The one that is repeated may be of another place, too.
+                if self._clouds and self._clouds[-1] is before:
+                    self._clouds.pop()
             elif stamp_from_msg(message.header.stamp) >= since_s:
                 self._clouds.append(message)

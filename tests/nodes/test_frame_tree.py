@@ -14,8 +14,8 @@ def message(child: str, x_m: float, stamp_s: float) -> TFMessage:
     return TFMessage(transforms=[edge])
 
 
-def place(frames: Frames, child: str = "base_link") -> float:
-    return float(frames.lookup("odom", child)[0, 3])
+def place(frames: Frames) -> float:
+    return float(frames.lookup("odom", "base_link")[0, 3])
 
 
 def test_a_base_that_stands_is_known_anew_and_has_not_moved() -> None:
@@ -29,29 +29,24 @@ def test_a_base_that_stands_is_known_anew_and_has_not_moved() -> None:
     assert (frames.known_s, frames.moved_s, place(frames)) == (4.0, 4.0, 0.6)
 
 
-def test_an_old_place_that_comes_late_is_not_taken_for_the_newest() -> None:
+@pytest.mark.parametrize(
+    ("told", "x_m"),
+    [
+        pytest.param([(0.5, 2.0), (0.1, 1.0)], 0.5, id="an old place that comes late"),
+        pytest.param([(0.5, 2.0), (0.1, 1.0), (0.1, 3.0)], 0.1, id="and is told again as new"),
+        pytest.param([(0.5, 1.0), (0.5, 3.0), (0.1, 2.0)], 0.5, id="one older than the renewed"),
+        pytest.param([(0.5, 1.0), (0.7, 2.0), (0.5, 3.0)], 0.5, id="there and back"),
+    ],
+)
+@pytest.mark.parametrize("names", [("base_link",), ("/base_link", "base_link")])
+def test_the_newest_place_counts(
+    told: list[tuple[float, float]], x_m: float, names: tuple[str, ...]
+) -> None:
+    """A slash before the name makes no other frame."""
     frames = Frames()
-    frames.take(message("base_link", 0.5, 2.0))
-    frames.take(message("base_link", 0.1, 1.0))
-    assert place(frames) == 0.5
-    frames.take(message("base_link", 0.1, 3.0))
-    assert place(frames) == 0.1
-
-
-def test_a_place_that_was_renewed_outlasts_an_older_other_one() -> None:
-    frames = Frames()
-    frames.take(message("base_link", 0.5, 1.0))
-    frames.take(message("base_link", 0.5, 3.0))
-    frames.take(message("base_link", 0.1, 2.0))
-    assert place(frames) == 0.5
-
-
-def test_a_slash_before_the_name_is_the_same_frame() -> None:
-    frames = Frames()
-    frames.take(message("/base_link", 0.5, 1.0))
-    frames.take(message("base_link", 0.7, 2.0))
-    frames.take(message("/base_link", 0.5, 3.0))
-    assert place(frames) == 0.5
+    for n, (at_m, stamp_s) in enumerate(told):
+        frames.take(message(names[n % len(names)], at_m, stamp_s))
+    assert place(frames) == x_m
 
 
 @pytest.mark.parametrize("x_m", [np.nan, np.inf])

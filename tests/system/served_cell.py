@@ -113,11 +113,11 @@ class Watch:
     def reset_devices(self) -> None:
         """Acknowledges what stopped the devices, as somebody does before the next job."""
         for device in ("arm", "base", "camera", "tracker", "scanner"):
-            # One that was killed just now seems to be there for a while and does not answer.
-            with suppress(AssertionError):
+            try:
                 self.bench.call(Trigger, f"{device}/reset", Trigger.Request())
-                continue
-            self.bench.call(Trigger, f"{device}/reset", Trigger.Request())
+            except AssertionError:
+                # One that was killed just now seems to be there for a while and does not answer.
+                self.bench.call(Trigger, f"{device}/reset", Trigger.Request())
 
     def is_over(self, job_id: str) -> bool:
         """Whether the job has come to its end."""

@@ -1,8 +1,40 @@
 """Every fault at every state: the run finishes, or ends as failed with a code; nothing is lost."""
 
+from pathlib import Path
+
+import numpy as np
 import pytest
 
-from system.fault_campaign import FAULTS, FULL_DISK, STATES, Case, run_cases
+from system.fault_campaign import (
+    FAULTS,
+    FULL_DISK,
+    HEAD,
+    STATES,
+    Case,
+    Row,
+    run_cases,
+    shown,
+    written,
+)
+
+
+def test_tables_are_shown_as_one_with_a_figure_per_seed(tmp_path: Path) -> None:
+    """A campaign goes on where its table ends, and what was not run is seen."""
+    hung = "hangs in moving of job-1: "
+    for seed, ended, code, after_s, note in (
+        (1, "Ended", "", 12.0, ""),
+        (2, "Aborted", "201", 50.0, ""),
+        (3, "no result", "", 240.0, hung),
+    ):
+        case = Case("frozen", "moving", seed)
+        row = Row(case, ended, code, np.nan, 1, False, 9, 60.0, after_s, 75.0, note)
+        mark = "" if row.is_good else " **bad**"
+        (tmp_path / f"{seed}.md").write_text(f"{HEAD}\n{row.cells()} {row.note}{mark}\n")
+        assert written(tmp_path / f"{seed}.md") == {case}
+    paths = [tmp_path / f"{seed}.md" for seed in (1, 2, 3)]
+    assert "| frozen | - - - |" in shown(paths)
+    assert "| 12 50 (201) **240** |" in shown(paths)
+    assert "| 12 - |" not in shown(paths[:1]) and "| 12 |" in shown(paths[:1])
 
 
 @pytest.mark.long
