@@ -158,28 +158,31 @@ def parts_of(lines: list[dict[str, Any]], kind: str, name: str) -> list[dict[str
 
 
 def table(lines: list[dict[str, Any]]) -> None:
-    """Prints recognition, registration and time."""
+    """Prints recognition, registration and time; names are those of the first kind that was run."""
     count = len(lines)
+    known = [kind for kind in REGISTRATIONS if any(kind in line for line in lines)]
+    if not known:
+        raise SystemExit(f"a table of layouts was asked; found {count} lines, none with a result")
     print(f"{count} layouts; places found: {sorted({line['places'] for line in lines})}\n")
     print("| part | nearest descriptor | largest distance | least to another | named |")
     print("|---|---|---|---|---|")
     for name in MAKERS:
-        rows = parts_of(lines, "global", name)
+        rows = parts_of(lines, known[0], name)
+        if not rows:
+            continue
         own = sum(each.get("vfh") == name for each in rows)
         named = sum(each["name"] == name for each in rows)
         far = max(each["vfh_distance"] for each in rows)
         twin = set(TWINS) - {name} if name in TWINS else set()
         other = "twin" if twin else f"{min(each['vfh_next'] for each in rows):.3f}"
         print(f"| {name} | {own} / {len(rows)} | {far:.3f} | {other} | {named} / {len(rows)} |")
-    for kind in ("global", "pso"):
+    for kind in known:
         some = [line for line in lines if kind in line]
-        if not some:
-            continue
         registration_table(some, kind)
         for clock in ("wall_s", "cpu_s"):
             values = [line[kind][clock] for line in some]
             print(f"{kind} {clock}: median {np.median(values):.2f}, largest {max(values):.2f}")
-    confusion(lines)
+    confusion(lines, known[0])
 
 
 def registration_table(lines: list[dict[str, Any]], kind: str) -> None:
@@ -189,6 +192,8 @@ def registration_table(lines: list[dict[str, Any]], kind: str) -> None:
     print("|---|---|---|---|---|---|---|---|---|---|")
     for name in MAKERS:
         rows = [each for each in parts_of(lines, kind, name) if "rmse_mm" in each]
+        if not rows:
+            continue
         print(f"| {name} {figures([each['rmse_mm'] for each in rows])} {errors(rows)}")
     trays = [
         float(np.mean([e["rmse_mm"] for e in line[kind]["parts"] if "rmse_mm" in e]))
@@ -222,13 +227,13 @@ def errors(rows: list[dict[str, Any]]) -> str:
     return f"{off:.4f} | {turn:.4f} | {good} / {len(rows)} |"
 
 
-def confusion(lines: list[dict[str, Any]]) -> None:
+def confusion(lines: list[dict[str, Any]], kind: str) -> None:
     """Prints which model each part's descriptor was nearest to, and what was named in the end."""
     for title, key in (("nearest descriptor", "vfh"), ("named", "name")):
         print(f"\n{title}: rows = truth\n\n| | {' | '.join(MAKERS)} | none |")
         print("|---" * (len(MAKERS) + 2) + "|")
         for name in MAKERS:
-            said = [each.get(key) for each in parts_of(lines, "global", name)]
+            said = [each.get(key) for each in parts_of(lines, kind, name)]
             counts = [said.count(other) for other in MAKERS] + [said.count(None)]
             print(f"| {name} | {' | '.join(map(str, counts))} |")
 
