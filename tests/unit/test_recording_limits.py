@@ -92,9 +92,33 @@ def test_a_full_disk_ends_the_recording_in_order(tmp_path: Path, limit: int) -> 
     assert (tmp_path / "bag" / "bag_0.mcap").stat().st_size <= limit
 
 
+NEVER = """
+import resource, sys
+from pathlib import Path
+from skinplan.recording.bag import BagWriter
+from skinplan.errors import DiskFullError
+resource.setrlimit(resource.RLIMIT_FSIZE, (int(sys.argv[2]), int(sys.argv[2])))
+try:
+    BagWriter(Path(sys.argv[1]))
+except DiskFullError as error:
+    print(error)
+"""
+
+
+@pytest.mark.parametrize("limit", [3, 30, 300], ids=["magic", "header", "metadata"])
+def test_a_bag_that_can_not_begin_leaves_nothing_behind(tmp_path: Path, limit: int) -> None:
+    (tmp_path / "there").mkdir()
+    for name in ("new", "there"):
+        command = [sys.executable, "-c", NEVER, str(tmp_path / name), str(limit)]
+        done = subprocess.run(command, capture_output=True, text=True, timeout=60)
+        assert "can't be written" in done.stdout, done.stderr
+    assert [path.name for path in tmp_path.rglob("*")] == ["there"]
+
+
 def test_a_disk_with_too_little_left_is_refused_before_and_during(tmp_path: Path) -> None:
     with pytest.raises(DiskFullError, match="have to stay free"):
         BagWriter(tmp_path / "never", settings=BagSettings(least_free_bytes=2**60))
+    assert not (tmp_path / "never").exists()
     bag = BagWriter(tmp_path / "bag", settings=BagSettings(chunk_bytes=1000, flush_s=3600.0))
     bag.add_topic("/chatter", TYPE, "string data\n")
     for i in range(30):

@@ -14,7 +14,7 @@ from types import TracebackType
 from typing import Self
 
 from skinplan.errors import BagNotWritableError
-from skinplan.recording.bag_files import BagFiles, RecordedTopic, create_folder, names
+from skinplan.recording.bag_files import BagFiles, RecordedTopic, names
 from skinplan.recording.bag_settings import BagSettings
 from skinplan.recording.chunk import ChunkBuilder, compressor
 from skinplan.recording.disk import write_error
@@ -30,7 +30,7 @@ class BagWriter:
     """Writes one bag; a context manager. All methods may be called from any thread.
 
     Args:
-        folder: Bag folder; created, must not exist or be empty.
+        folder: Bag folder; created, must not exist or be empty. A bag that can't begin leaves none.
         metadata: Facts about the run, kept as ``custom_data``.
         settings: How to write.
 
@@ -61,12 +61,11 @@ class BagWriter:
         self._described: set[int] = set()
         self._lock = threading.Lock()
         self._stopped = threading.Event()
-        create_folder(self.folder)
         custom_data = {str(key): str(value) for key, value in (metadata or {}).items()}
         self._files = BagFiles(
             self.folder, custom_data, self.settings.ros_distro, self.settings.least_free_bytes
         )
-        self._files.open_next()
+        self._files.begin()
         self._flusher = threading.Thread(target=self._flush_often, name="bag flusher", daemon=True)
         self._flusher.start()
 

@@ -1,5 +1,6 @@
 """The files of one bag while it is recorded: one after the other, each closed in order."""
 
+import contextlib
 import os
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -89,6 +90,25 @@ class BagFiles:
     def content_bytes(self) -> int:
         """What was written to the current file behind its descriptions [B]."""
         return self._file.size_bytes - self._head_bytes
+
+    def begin(self) -> None:
+        """Makes the folder and the first file, or leaves nothing behind.
+
+        Raises:
+            BagNotWritableError: The folder is not empty, or the disk does not take it.
+        """
+        created = _create_folder(self.folder)
+        try:
+            self.open_next()
+        except BaseException:
+            # A folder without a bag would be taken for a bag that was lost.
+            if not self._complete:
+                self._file.close()
+                self._file.path.unlink(missing_ok=True)
+            if created:
+                with contextlib.suppress(OSError):
+                    self.folder.rmdir()
+            raise
 
     def open_next(self) -> None:
         """Begins a file, with all topics known so far.
@@ -242,12 +262,16 @@ class BagFiles:
             known.lost += counts.get(known.id, 0)
 
 
-def create_folder(folder: Path) -> None:
+def _create_folder(folder: Path) -> bool:
     """Makes the folder of a new bag.
+
+    Returns:
+        False when it was there, and empty.
 
     Raises:
         BagNotWritableError: It is not empty, or can't be created.
     """
+    created = not folder.exists()
     try:
         folder.mkdir(parents=True, exist_ok=True)
         found = sorted(os.listdir(folder))
@@ -260,6 +284,7 @@ def create_folder(folder: Path) -> None:
             f"a bag in {folder} was asked for, but the folder is not empty; a new or empty "
             "folder is accepted"
         )
+    return created
 
 
 def names(topics: Iterable[RecordedTopic]) -> str:
