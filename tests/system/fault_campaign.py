@@ -82,6 +82,7 @@ RIGHT_CODES: dict[str, tuple[int, ...]] = {
     "tracker.lost": (Status.TRACKER_LOST,),
     FULL_DISK: (Status.DISK_FULL,),
 }
+SEEDS = (1, 2, 3)
 FAULTS = (*INJECTED, *KILLED, FULL_DISK)
 #: How long a fault lasts [s of wall time]; those of the operator last until somebody looks.
 LASTS_S = 3.0
@@ -373,7 +374,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--faults", nargs="*", default=list(FAULTS))
     parser.add_argument("--states", nargs="*", default=list(STATES))
-    parser.add_argument("--seeds", nargs="*", type=int, default=[1, 2, 3])
+    parser.add_argument("--seeds", nargs="*", type=int, default=list(SEEDS))
     parser.add_argument("--disk", type=Path, help="file system of its own, for full_disk")
     parser.add_argument("--time-factor", default=FACTOR)
     parser.add_argument("--out", type=Path, default=Path("fault_campaign.md"))

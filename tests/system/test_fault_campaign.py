@@ -1,5 +1,8 @@
 """Every fault at every state: the run finishes, or ends as failed with a code; nothing is lost."""
 
+import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +12,7 @@ from system.fault_campaign import (
     FAULTS,
     FULL_DISK,
     HEAD,
+    SEEDS,
     STATES,
     Case,
     Row,
@@ -16,6 +20,10 @@ from system.fault_campaign import (
     shown,
     written,
 )
+
+TESTS = Path(__file__).parents[1]
+#: Room for the bags of one job, and quickly full.
+DISK_SIZE = "400M"
 
 
 def test_tables_are_shown_as_one_with_a_figure_per_seed(tmp_path: Path) -> None:
@@ -39,8 +47,27 @@ def test_tables_are_shown_as_one_with_a_figure_per_seed(tmp_path: Path) -> None:
 
 @pytest.mark.long
 @pytest.mark.timeout(1800)
+@pytest.mark.parametrize("seed", SEEDS)
 @pytest.mark.parametrize("fault", [fault for fault in FAULTS if fault != FULL_DISK])
-def test_jobs_survive_or_end_by_name(fault: str) -> None:
-    cases = [Case(fault, state, 1) for state in STATES]
-    found = list(run_cases(cases, 1, "16", "fault_campaign"))
+def test_jobs_survive_or_end_by_name(fault: str, seed: int) -> None:
+    cases = [Case(fault, state, seed) for state in STATES]
+    found = list(run_cases(cases, seed, "16", "fault_campaign"))
     assert [row for row in found if not row.is_good] == []
+
+
+@pytest.mark.long
+@pytest.mark.timeout(1800)
+@pytest.mark.parametrize("seed", SEEDS)
+def test_jobs_survive_a_full_disk(tmp_path: Path, seed: int) -> None:
+    """On a disk in memory that only the campaign sees: nobody else's is filled."""
+    disk, table = tmp_path / "disk", tmp_path / "table.md"
+    disk.mkdir()
+    mount = f"mount -t tmpfs -o size={DISK_SIZE} tmpfs '{disk}' && exec \"$@\""
+    alone = ["unshare", "--map-root-user", "--mount", "sh", "-c", mount, "sh"]
+    if shutil.which("unshare") is None or subprocess.run([*alone, "true"], check=False).returncode:
+        pytest.skip("mounts are not allowed here (unshare --map-root-user --mount)")
+    campaign = [sys.executable, "-m", "system.fault_campaign", "--seeds", str(seed)]
+    campaign += ["--faults", FULL_DISK, "--disk", str(disk), "--out", str(table)]
+    subprocess.run([*alone, *campaign], check=True, cwd=TESTS)
+    assert written(table) == {Case(FULL_DISK, state, seed) for state in STATES}
+    assert [line for line in table.read_text().splitlines() if "**bad**" in line] == []
