@@ -85,11 +85,7 @@ def verify_bag(
 def _stages(
     bench: VerifyBench, run: RecordedRun, part: PartReference, progress: Callable[[str], None]
 ) -> list[StageResult]:
-    feed = LocalizerFeed(bench, run, part)
-    try:
-        results = [feed.verify(progress)]
-    finally:
-        feed.close()
+    results = [LocalizerFeed(bench, run, part).verify(progress)]
     progress("scan path")
     results.append(verify_scan_path(bench, run, part))
     progress("stations")

@@ -19,6 +19,7 @@ from skinplan_nodes.conversions import pose_stamped_to_msg, transform_stamped_to
 from skinplan_nodes.replay_verify import parsed_changes, verify_bag
 from skinplan_nodes.scan_path_planner import ScanPathPlanner
 from skinplan_nodes.station_planner import StationPlanner
+from skinplan_nodes.verify.bench import NotAnsweredError, VerifyBench
 
 
 @pytest.fixture(scope="module")
@@ -98,3 +99,18 @@ def test_what_can_t_be_verified_is_named(tmp_path: Path) -> None:
     for text in ("images=1", "sim_clock.rate_hz=1", "aruco_localizer.images"):
         with pytest.raises(InputError, match="node.parameter=value"):
             parsed_changes([text])
+
+
+def test_nodes_that_fail_are_named_at_once() -> None:
+    """What will never be answered is not waited for to the end of the time."""
+
+    def fail() -> None:
+        raise ValueError("no such pose")
+
+    bench = VerifyBench()
+    try:
+        bench.node.create_timer(0.01, fail)
+        with pytest.raises(NotAnsweredError, match=r"the answer .* failed \(no such pose\)"):
+            bench.wait(lambda: False, 60.0, "the answer")
+    finally:
+        bench.close()

@@ -1,6 +1,5 @@
 """The real nodes in a graph of their own, with a clock to set and bounded waits."""
 
-import contextlib
 import os
 import threading
 import time
@@ -42,6 +41,8 @@ class VerifyBench:
         self._namespace = f"/verify_{os.getpid()}"
         self._executor = MultiThreadedExecutor(4, context=self.context)
         self._nodes: list[Node] = []
+        self._last: list[Callable[[], object]] = []
+        self._failure: BaseException | None = None
         self.node = Node(
             "verify",
             context=self.context,
@@ -86,10 +87,14 @@ class VerifyBench:
         """Waits until a condition is true, and returns its value.
 
         Raises:
-            NotAnsweredError: Not within the time.
+            NotAnsweredError: Not within the time, or nothing runs the nodes any more.
         """
         deadline = time.monotonic() + timeout_s
         while not (value := condition()):
+            if self._failure is not None:
+                raise NotAnsweredError(
+                    f"{what} was waited for, but the nodes have failed ({self._failure})"
+                ) from self._failure
             if time.monotonic() > deadline:
                 raise NotAnsweredError(f"{what} was waited for {timeout_s:g} s, but did not come")
             time.sleep(_POLL_S)
@@ -110,6 +115,13 @@ class VerifyBench:
         finally:
             self.node.destroy_client(client)
 
+    def at_end(self, destroy: Callable[[], object]) -> None:
+        """Keeps what destroys an action's client or server until nothing waits for it any more.
+
+        rclpy's executor fails when one goes between being gathered and being waited for.
+        """
+        self._last.append(destroy)
+
     def close(self) -> None:
         """Ends all nodes."""
         for node in reversed(self._nodes):
@@ -117,6 +129,8 @@ class VerifyBench:
                 node.close()
         rclpy.try_shutdown(context=self.context)
         self._thread.join(_JOIN_S)
+        for destroy in reversed(self._last):
+            destroy()
         for node in reversed(self._nodes):
             node.destroy_node()
 
@@ -125,7 +139,10 @@ class VerifyBench:
         self._executor.add_node(node)
 
     def _spin(self) -> None:
-        # The context may go between two steps of the executor: that is the end.
-        with contextlib.suppress(ExternalShutdownException):
+        try:
             while self.context.ok():
                 self._executor.spin_once(timeout_sec=0.2)
+        except ExternalShutdownException:
+            pass  # the context went between two steps of the executor: that is the end
+        except BaseException as error:
+            self._failure = error

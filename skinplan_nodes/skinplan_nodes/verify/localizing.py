@@ -64,6 +64,8 @@ class LocalizerFeed:
         self._client = ThreadedActionClient(
             node, LocalizePart, "localize_part", callback_group=group
         )
+        for action in (self._base, self._client):
+            bench.at_end(action.destroy)
         self._moving = iter(self._run.all("tf"))
         self._next: Stamped | None = next(self._moving, None)
         self._base_s = float("-inf")
@@ -81,11 +83,6 @@ class LocalizerFeed:
             progress(f"localisation {number + 1} of {len(every)}")
             self._localize(recorded, number == 0, result)
         return result
-
-    def close(self) -> None:
-        """Ends the servers."""
-        self._base.destroy()
-        self._client.destroy()
 
     def _localize(self, recorded: Localization, first: bool, result: StageResult) -> None:
         self._seen.clear()
