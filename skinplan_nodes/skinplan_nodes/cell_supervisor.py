@@ -44,7 +44,8 @@ from skinplan_nodes.supervisor.watch import NodeWatch
 from skinplan_nodes.supervisor.worker import JobWorker
 
 _LOOK_PERIOD_S = 1.0
-_END_TIMEOUT_S = 2.0
+# A job gets so long to come to its end; other nodes are waited for no longer than the first part.
+_END_TIMEOUT_S, _END_WAITS_S = 0.8, 0.4
 _RECORDER = "run_recorder"
 # The cell's clock may be corrected by less than this [s].
 _CLOCK_BACK_S = 0.5
@@ -156,6 +157,7 @@ class CellSupervisor(CellNode):
 
     def close(self) -> None:
         """Ends the job on the cell: its devices stop, its folder says why."""
+        self._cell.waiter.end_by(time.monotonic() + _END_WAITS_S)
         self._queue.close(Status.JOB_ABORTED, "the supervisor was ended")
         if self._thread is not None:
             self._thread.join(_END_TIMEOUT_S)

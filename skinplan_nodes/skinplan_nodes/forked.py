@@ -112,8 +112,13 @@ def _run(program: Program, at_start: Callable[[], None], writing: int) -> Never:
         code = _code(ended)
     except BaseException:
         traceback.print_exc()
-    # The interpreter ends as that of a program does; the frames below are the parent's.
-    ctypes.pythonapi.Py_Exit(code)
+    # Not taken apart as an interpreter is: that writes to every page that is shared, in all nodes
+    # at once, and the frames below are the parent's. Libraries end as always: DDS takes its shared
+    # memory away. Under the interpreter's lock no other thread begins anything meanwhile.
+    logging.shutdown()
+    sys.stdout.flush()
+    sys.stderr.flush()
+    ctypes.PyDLL(None).exit(code)
     os._exit(code)
 
 

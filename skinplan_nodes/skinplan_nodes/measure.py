@@ -38,7 +38,7 @@ _SUBMIT_S = 90.0
 # the same job.
 _ANSWER_S, _AGAIN_S = 10.0, 2.0
 _ASK_PERIOD_S = 2.0
-_ABORT_S = 2.2
+_ABORT_S = 1.0
 _log = logging.getLogger(__name__)
 
 

@@ -38,13 +38,15 @@ class EndTimes:
     Attributes:
         grace_s: From the death of a node until the client is interrupted, which aborts the job: the
             supervisor brings arm and base to rest meanwhile [s].
-        client_s: From the client's interrupt until all others are terminated [s].
+        client_s: From the client's interrupt until the first process is terminated [s].
+        first_s: From there until all others are terminated [s].
         terminate_s: From there until what is left is killed [s].
     """
 
     grace_s: float = 2.0
-    client_s: float = 2.5
-    terminate_s: float = 1.8
+    client_s: float = 1.3
+    first_s: float = 1.1
+    terminate_s: float = 1.6
 
 
 class LinePrinter:
@@ -225,7 +227,7 @@ class GraphManager(Manager):
             self._wait(self._times.client_s, self._client_ended)
         if self._first and self._code(self._first) is None:
             self._send(self._first, signal.SIGTERM)
-            self._wait(self._times.client_s, self._first_ended)
+            self._wait(self._times.first_s, self._first_ended)
         self._killall()
         self._wait(self._times.terminate_s, self._all_stopped)
         self._killall(force=True)

@@ -65,9 +65,9 @@ class Runner:
         # Before anything is imported that looks at it: the nodes are forks of this process.
         os.environ.update(graph_environment(dict(os.environ)))
         remove_orphaned_segments()
-        # A served cell ends its job while the others are still there; otherwise the
-        # client does that.
-        client, first = (None, self._first()) if self.options.serve else (CLIENT, None)
+        # The job ends while the others are still there: the client aborts it; a served cell has
+        # none, and where that takes too long the supervisor writes down what there is.
+        client, first = None if self.options.serve else CLIENT, self._first()
         self._manager = manager = GraphManager(
             self._on_line,
             self._on_death,

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,9 @@ from rosbags.highlevel import AnyReader
 
 from nodes.small_part import write_small_part
 from skinplan.inspection.cloud import read_ply
+from skinplan.jobs.model import JobState
+from skinplan.jobs.store import JobStore
+from skinplan.recording.heal import heal_bag
 from skinplan.robot.cell import CellConfig
 from system.graph_run import GraphRun
 
@@ -249,6 +253,34 @@ def test_interrupt_ends_everything_in_time(start: Callable[..., GraphRun]) -> No
     assert json.loads((folder / "summary.json").read_text())["job"]["state"] == "Aborted"
     with AnyReader([folder / "bag"]) as reader:
         assert reader.message_count > 0
+
+
+def test_interrupt_leaves_a_summary_when_the_bag_is_not_closed(
+    start: Callable[..., GraphRun],
+) -> None:
+    run = start("--job-id", "job-4")
+    run.until_sub_state("driving")
+    bag = Path(run.events[0]["log_folder"]).parent / "bag"
+    while sum(file.stat().st_size for file in bag.glob("*.mcap")) < 1_000_000:
+        time.sleep(0.02)
+    # It answers as late as one whose disk is busy for long.
+    run.node("run_recorder").send_signal(signal.SIGSTOP)
+    began_s = time.monotonic()
+    run.process.send_signal(signal.SIGINT)
+    assert run.wait(15.0) == 130
+    assert time.monotonic() - began_s < 5.0
+    assert run.processes() == []
+    folder = Path(run.events[-1]["run_folder"])
+    summary = json.loads((folder / "summary.json").read_text())
+    assert summary["job"]["state"] == "Aborted"
+    assert summary["error"]["message"] == "the command ABORT was given: interrupted"
+    assert summary["bag"]["closed"] is False
+    assert summary["bag"]["error"].startswith("service recorder/stop: no answer when")
+    heal_bag(bag)
+    with AnyReader([bag]) as reader:
+        assert reader.message_count > 0
+    with closing(JobStore(folder / "log" / "jobs.sqlite")) as store:
+        assert store.get("job-4").state is JobState.ABORTED
 
 
 # In the normal run the process manager alone is killed, see test_processes.py.

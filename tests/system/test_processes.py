@@ -31,7 +31,7 @@ manager = GraphManager(
     lambda name, line: print(f"line {{name}} {{line}}", flush=True),
     lambda name, code: print(f"died {{name}} {{code}}", flush=True),
     client={client!r},
-    times=EndTimes(grace_s=1.0, client_s=1.0, terminate_s=1.0),
+    times=EndTimes(grace_s=1.0, client_s=1.0, first_s=1.0, terminate_s=1.0),
     restarts=RestartPolicy({restarts}, first_wait_s={wait_s}),
     on_restart=lambda name, code, count: print(f"restart {{name}} {{code}} {{count}}", flush=True),
 )

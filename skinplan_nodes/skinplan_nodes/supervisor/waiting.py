@@ -1,5 +1,6 @@
 """Bounded waits of a job's thread for answers of other nodes."""
 
+import math
 import threading
 import time
 from collections.abc import Callable, Iterator
@@ -36,6 +37,15 @@ class Waiter:
         self._is_lost = is_lost
         self._pid = pid
         self.control = JobControl()
+        self._end_s = math.inf
+
+    def end_by(self, end_s: float) -> None:
+        """Ends every wait, also what nothing breaks into: this process is to end.
+
+        Args:
+            end_s: From then on nothing is waited for, monotonic time [s].
+        """
+        self._end_s = end_s
 
     @contextmanager
     def undisturbed(self) -> Iterator[None]:
@@ -92,9 +102,12 @@ class Waiter:
             if asked and self._pid(node) not in (0, asked):
                 text = f"{what}: node {node} was started again meanwhile"
                 raise StepError(Status.NODE_LOST, text, node)
-            reason = late()
+            reason = "no answer when this program was ended" if self._is_over() else late()
             if reason is not None:
                 raise StepError(Status.DEVICE_TIMEOUT, f"{what}: {reason}", node)
         if future.exception() is not None:
             raise StepError(Status.DEVICE_FAILED, f"{what}: {future.exception()}", node)
         return future.result()
+
+    def _is_over(self) -> bool:
+        return time.monotonic() > self._end_s
