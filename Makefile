@@ -27,11 +27,11 @@ lint: setup ## style, format, types, wall between library and ROS
 	$(BIN)/mypy
 
 # The unit tests run once, one process per core, in which neither rclpy nor any message package can be imported. Everything runs
-# even if something before it failed, and pytest has the last word.
+# even if something before it failed, and pytest has the last word. Properties get the same examples each time; new ones in `make test-long`.
 test: setup ## all checks but the long ones
 	@status=0; \
 	$(MAKE) --no-print-directory lint || status=1; \
-	$(PYTEST) tests/unit --without-ros -m "not long" -n auto --dist worksteal || status=1; \
+	$(PYTEST) tests/unit --without-ros -m "not long" -n auto --dist worksteal --hypothesis-profile=ci || status=1; \
 	$(PYTEST) tests/conversions tests/nodes -m "not long" -n 2 --dist loadfile || status=1; \
 	$(PYTEST) tests/system -m "not long" || status=1; \
 	exit $$status
@@ -39,6 +39,7 @@ test: setup ## all checks but the long ones
 test-long: setup ## the long checks
 	@status=0; \
 	$(PYTEST) tests/unit --without-ros -m long -n auto --dist worksteal; case $$? in 0|5) ;; *) status=1 ;; esac; \
+	$(PYTEST) $$(grep -l "^from hypothesis" tests/unit/*.py) --without-ros -m "not long" -n auto --dist worksteal || status=1; \
 	$(PYTEST) tests/conversions tests/nodes tests/system -m long; case $$? in 0|5) ;; *) status=1 ;; esac; \
 	exit $$status
 

@@ -27,9 +27,14 @@ def invoke(*arguments):
     return runner.invoke(app, [str(argument) for argument in arguments])
 
 
-def flat_mesh(tmp_path, scale=1.0, name="flat.stl"):
+#: Planned in a second [m].
+SMALL = (0.3, 0.2)
+
+
+def flat_mesh(tmp_path, scale=1.0, name="flat.stl", size=(0.6, 0.4)):
     grid = np.stack(
-        np.meshgrid(np.linspace(0, 0.6, 13), np.linspace(0, 0.4, 9), indexing="ij"), axis=-1
+        np.meshgrid(np.linspace(0, size[0], 13), np.linspace(0, size[1], 9), indexing="ij"),
+        axis=-1,
     )
     number = np.arange(13 * 9).reshape(13, 9)
     a, b, c, d = (
@@ -77,7 +82,7 @@ def test_a_part_that_no_station_locates_is_planned_without_markers_only(tmp_path
 
 
 def test_plan_of_a_bare_mesh_in_millimetres(tmp_path):
-    mesh = flat_mesh(tmp_path, scale=1000.0)
+    mesh = flat_mesh(tmp_path, scale=1000.0, size=SMALL)
     result = invoke("plan", mesh, "--unit", "mm", "--out", tmp_path / "plan", "--json")
     assert result.exit_code == 0, result.stderr
     summary = json.loads(result.stdout)
@@ -108,7 +113,9 @@ def names_of(kinds):
 def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
     """And they end with what is planned."""
     monkeypatch.chdir(tmp_path)
-    result = invoke("plan", flat_mesh(tmp_path), "--view", "--until", "stations", "--json")
+    result = invoke(
+        "plan", flat_mesh(tmp_path, size=SMALL), "--view", "--until", "stations", "--json"
+    )
     assert result.exit_code == 0, result.stderr
     view = json.loads(result.stdout)["view"]
     assert view["url"] is None
@@ -119,7 +126,7 @@ def test_plan_writes_pictures_to_a_folder_of_the_part(tmp_path, monkeypatch):
 
 
 def test_plan_writes_pictures_beside_the_plan(tmp_path):
-    result = invoke("plan", flat_mesh(tmp_path), "--view", "--out", tmp_path / "here")
+    result = invoke("plan", flat_mesh(tmp_path, size=SMALL), "--view", "--out", tmp_path / "here")
     assert result.exit_code == 0, result.stderr
     written = {path.name for path in (tmp_path / "here").iterdir()}
     assert written >= {"scan_path.json", "summary.json", *names_of(PICTURES)}
@@ -129,7 +136,7 @@ def test_plan_writes_pictures_beside_the_plan(tmp_path):
 
 def test_pictures_end_with_what_is_planned(tmp_path):
     arguments = ("--view", "--until", "coverage", "--out", tmp_path / "here", "--json")
-    result = invoke("plan", flat_mesh(tmp_path), *arguments)
+    result = invoke("plan", flat_mesh(tmp_path, size=SMALL), *arguments)
     assert result.exit_code == 0, result.stderr
     names = [Path(file).name for file in json.loads(result.stdout)["view"]["pictures"]]
     assert names[-1] == "coverage.png" and "stations.png" not in names
@@ -138,7 +145,7 @@ def test_pictures_end_with_what_is_planned(tmp_path):
 def test_plan_animates_the_arm(tmp_path, monkeypatch):
     monkeypatch.setattr("skinplan.view.animation.MOST_FRAMES", 3)
     arguments = ("--animate", "--out", tmp_path / "here", "--json")
-    result = invoke("plan", flat_mesh(tmp_path), *arguments)
+    result = invoke("plan", flat_mesh(tmp_path, size=SMALL), *arguments)
     assert result.exit_code == 0, result.stderr
     pictures = [Path(file) for file in json.loads(result.stdout)["view"]["pictures"]]
     assert [file.name for file in pictures] == [*names_of(PICTURES), "motion.gif"]
@@ -156,7 +163,7 @@ def test_an_animation_without_trajectories_is_refused_before_planning(tmp_path):
 def test_pictures_that_can_not_be_written_are_a_named_error(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     (tmp_path / "plan-flat").write_text("in the way")
-    result = invoke("plan", flat_mesh(tmp_path), "--view")
+    result = invoke("plan", flat_mesh(tmp_path, size=SMALL), "--view")
     assert result.exit_code == 1
     assert "plan-flat" in result.stderr
     assert "Traceback" not in result.stderr
@@ -180,7 +187,7 @@ def test_without_viser_the_view_is_refused_before_planning(tmp_path, monkeypatch
 
 @pytest.mark.skipif(importlib.util.find_spec("viser") is None, reason="viser is not installed")
 def test_the_view_is_served_until_ctrl_c(tmp_path):
-    command = [sys.executable, "-m", "skinplan.cli", "plan", str(flat_mesh(tmp_path))]
+    command = [sys.executable, "-m", "skinplan.cli", "plan", str(flat_mesh(tmp_path, size=SMALL))]
     process = subprocess.Popen(
         [*command, "--browser", "--port", "0", "--json"],
         stdout=subprocess.PIPE,

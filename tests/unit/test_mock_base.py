@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from skinplan.errors import InputError
@@ -196,12 +196,14 @@ def obey(robot, command, number):
 
 @settings(max_examples=12, deadline=None)
 @given(commands, st.floats(0.05, 0.6), st.integers(0, 3))
+# Two orders lie between two ticks.
+@example([(3.0, "goal"), (0.5, "goal")], 0.5, 0)
 def test_limits_hold_and_any_ticks_give_the_same_states(orders, tick, seed):
     config = BaseConfig(jump_probability=0.5)
     coarse, fine = MockBase(config, CELL, seed, START), MockBase(config, CELL, seed, START)
     coarse.goal(planar(3.0, 1.0, 1.0))
     fine.goal(planar(3.0, 1.0, 1.0))
-    now, speeds, rates, wheels = 0.0, [0.0], [0.0], [fine.odometry]
+    now, speeds, rates, wheels, times = 0.0, [0.0], [0.0], [fine.odometry], [0.0]
     # So long as the next order is not due, `fine` goes in small steps, `coarse` in one.
     for number, (wait, command) in enumerate([*orders, (40.0, "stop")]):
         grid = np.arange(now, now + wait, tick)[1:]
@@ -211,8 +213,10 @@ def test_limits_hold_and_any_ticks_give_the_same_states(orders, tick, seed):
             rates.append(fine.turn_rate)
             wheels.append(fine.odometry)
         now += wait
+        times += [*grid, now]
         coarse.step(now)
         fine.step(now)
+        wheels.append(fine.odometry)
         np.testing.assert_allclose(fine.believed, coarse.believed, atol=1e-9)
         np.testing.assert_allclose(fine.true, coarse.true, atol=1e-9)
         np.testing.assert_allclose(fine.odometry, coarse.odometry, atol=1e-9)
@@ -222,9 +226,8 @@ def test_limits_hold_and_any_ticks_give_the_same_states(orders, tick, seed):
     assert np.abs(speeds).max() <= CELL.base_speed_m_s + 1e-9
     assert np.abs(rates).max() <= config.turn_speed_rad_s + 1e-9
     assert np.all((np.abs(speeds) < 1e-12) | (np.abs(rates) < 1e-12))
-    ways = [difference(a, b)[0] for a, b in itertools.pairwise(wheels)]
-    # Between two ticks may lie an order and what is left of the tick before.
-    assert max(ways) <= 2.0 * tick * CELL.base_speed_m_s + 1e-9
+    ways = np.array([difference(a, b)[0] for a, b in itertools.pairwise(wheels)])
+    assert (ways - np.diff(times) * CELL.base_speed_m_s).max() <= 1e-9
 
 
 @settings(max_examples=20, deadline=None)

@@ -46,12 +46,17 @@ def plan(path=PATH, points=ALL, T=T, mesh=PANEL, settings=SCAN, cell=CELL, **mor
     return plan_station_trajectory(path, points, T, mesh, settings, cell, **more)
 
 
+@pytest.fixture(scope="module")
+def flat_plan():
+    return plan()
+
+
 def scanned(trajectory):
     return np.concatenate([s.points for s in trajectory.segments])
 
 
-def test_a_flat_panel_is_scanned_whole_and_nothing_is_wrong_with_it():
-    found = plan()
+def test_a_flat_panel_is_scanned_whole_and_nothing_is_wrong_with_it(flat_plan):
+    found = flat_plan
     assert problems(found, PATH, T, PANEL, SCAN, CELL) == []
     assert sorted(scanned(found)) == ALL.tolist() and not found.skipped
     assert found.breaks == 0
@@ -60,8 +65,8 @@ def test_a_flat_panel_is_scanned_whole_and_nothing_is_wrong_with_it():
     assert all(len(s.points) == 0 for s in found.segments if s.kind == TRANSIT)
 
 
-def test_the_time_of_each_point_is_when_the_scanner_is_there():
-    found = plan()
+def test_the_time_of_each_point_is_when_the_scanner_is_there(flat_plan):
+    found = flat_plan
     segment = found.segments[1]
     assert segment.point_s.shape == segment.points.shape
     assert segment.point_s[0] == 0.0 and segment.point_s[-1] == pytest.approx(segment.duration_s)
@@ -81,8 +86,8 @@ def test_it_says_how_good_the_order_of_visit_is(strategy):
         assert 0.0 < found.order_bound <= found.order_cost + 1e-9
 
 
-def test_rows_are_driven_near_the_speed_limit():
-    found = plan()
+def test_rows_are_driven_near_the_speed_limit(flat_plan):
+    found = flat_plan
     length = np.linalg.norm(np.diff(PATH.positions[scanned(found)], axis=0), axis=1).sum()
     assert found.scan_s < 1.35 * length / SCAN.tcp_speed_m_s
     assert found.tcp_path_m == pytest.approx(length, rel=0.05)
@@ -156,7 +161,7 @@ def test_it_begins_where_the_arm_is():
 
 def test_the_same_question_has_the_same_answer():
     mesh, path = steep_bump()
-    a, b = (plan(path, np.arange(len(path)), mesh=mesh) for _ in range(2))
+    a, b = (plan(path, np.arange(0, len(path), 2), mesh=mesh) for _ in range(2))
     assert len(a.segments) == len(b.segments)
     for first, second in zip(a.segments, b.segments, strict=True):
         assert np.array_equal(first.positions, second.positions)
@@ -307,7 +312,8 @@ def test_a_scanner_beside_the_tool_axis_is_driven_too():
     aside = CELL.T_tool0_scanner.copy()
     aside[:3, 3] += (0.05, 0.0, 0.0)
     cell = dataclasses.replace(CELL, T_tool0_scanner=aside)
-    points = ALL[(np.abs(PATH.positions[:, 0]) < 0.16) & (np.abs(PATH.positions[:, 1]) < 0.11)]
+    x, y, _ = PATH.positions.T
+    points = ALL[(np.abs(x) < 0.16) & (y > -0.05) & (y < 0.11)]
     found = plan(points=points, cell=cell)
     assert problems(found, PATH, T, PANEL, SCAN, cell) == []
     assert sorted(scanned(found)) == points.tolist()
