@@ -231,7 +231,8 @@ class Setup:
     def _check_imports(self) -> None:
         # Also where an environment says that no bytecode is to be written: otherwise every start of
         # a command or a node compiles 2000 modules, which takes 6 s.
-        command = [self._paths.python, "-c", _IMPORTS]
+        # -P: the folder `skinplan_nodes` here is not the package of that name.
+        command = [self._paths.python, "-P", "-c", _IMPORTS]
         self._tool(command, "importing all modules in one process", PYTHONDONTWRITEBYTECODE="")
 
     def _tool(self, command: Sequence[str | Path], what: str, **variables: str) -> str:
