@@ -32,8 +32,7 @@ test: setup ## all checks but the long ones
 	@status=0; \
 	$(MAKE) --no-print-directory lint || status=1; \
 	$(PYTEST) tests/unit --without-ros -m "not long" -n auto --dist worksteal --hypothesis-profile=ci || status=1; \
-	$(PYTEST) tests/conversions tests/nodes -m "not long" -n 2 --dist loadfile || status=1; \
-	$(PYTEST) tests/system -m "not long" || status=1; \
+	$(PYTEST) tests/conversions tests/nodes tests/system -m "not long" || status=1; \
 	exit $$status
 
 test-long: setup ## the long checks
