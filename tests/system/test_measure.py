@@ -22,7 +22,7 @@ from skinplan.jobs.model import JobState
 from skinplan.jobs.store import JobStore
 from skinplan.recording.heal import heal_bag
 from skinplan.robot.cell import CellConfig
-from system.graph_run import GraphRun
+from system.graph_run import TIMEOUT_S, GraphRun
 
 # Another program of the shop: nothing but rclpy and the interfaces.
 MES_BRIDGE = """
@@ -261,7 +261,9 @@ def test_interrupt_leaves_a_summary_when_the_bag_is_not_closed(
     run = start("--job-id", "job-4")
     run.until_sub_state("driving")
     bag = Path(run.events[0]["log_folder"]).parent / "bag"
+    deadline = time.monotonic() + TIMEOUT_S
     while sum(file.stat().st_size for file in bag.glob("*.mcap")) < 1_000_000:
+        assert time.monotonic() < deadline, "the bag does not grow"
         time.sleep(0.02)
     # It answers as late as one whose disk is busy for long.
     run.node("run_recorder").send_signal(signal.SIGSTOP)
