@@ -45,7 +45,7 @@ from skinplan_nodes.supervisor.worker import JobWorker
 
 _LOOK_PERIOD_S = 1.0
 # A job gets so long to come to its end; other nodes are waited for no longer than the first part.
-_END_TIMEOUT_S, _END_WAITS_S = 0.8, 0.4
+_END_TIMEOUT_S, _END_WAITS_S = 2.0, 0.4
 _RECORDER = "run_recorder"
 # The cell's clock may be corrected by less than this [s].
 _CLOCK_BACK_S = 0.5

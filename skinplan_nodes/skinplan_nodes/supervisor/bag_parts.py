@@ -109,10 +109,11 @@ class BagParts:
         try:
             if self._is_written():
                 lost = self._cell.stop_recording()
-        except (SkinplanError, OSError) as error:
+        except Exception as error:  # whatever it is, the summary has to say so
+            expected = isinstance(error, SkinplanError | OSError)
             folder.note(f"closing the bag: {error}")
-            _log.error("closing the bag: %s", error)
-            lost["error"] = str(error)
+            _log.error("closing the bag: %s", error, exc_info=None if expected else error)
+            lost["error"] = str(error) or type(error).__name__
         self._closed.append(lost)
         self._write_down()
 

@@ -119,18 +119,16 @@ class Calls:
         with self._lock:
             goals, self._goals = self._goals, []
         answers = [handle.cancel_goal_async() for handle, _ in goals]
-        deadline = time.monotonic() + _CANCEL_S
-        while not all(answer.done() for answer in answers) and time.monotonic() < deadline:
-            time.sleep(0.01)
+        self._waiter.until(lambda: all(answer.done() for answer in answers), _CANCEL_S)
 
     def _wait_server(self, ready: Callable[[], bool], what: str, node: str) -> None:
         deadline = time.monotonic() + _SERVER_S
         while not ready():
             self._waiter.control.check()
-            if time.monotonic() > deadline:
-                raise StepError(
-                    Status.DEVICE_NOT_READY, f"{what}: nobody serves it after {_SERVER_S:g} s", node
-                )
+            if time.monotonic() > deadline or self._waiter.is_over():
+                waited = "at the end" if self._waiter.is_over() else f"after {_SERVER_S:g} s"
+                text = f"{what}: nobody serves it {waited}"
+                raise StepError(Status.DEVICE_NOT_READY, text, node)
             time.sleep(0.02)
 
 

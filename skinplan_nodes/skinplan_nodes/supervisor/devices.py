@@ -4,7 +4,7 @@ With real drivers that have none of these the cell works with the actions alone.
 """
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
 from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.node import Node
@@ -96,7 +96,7 @@ class Devices:
             if client.service_is_ready():
                 self._stopped.add(name)
                 asked.append(client.call_async(Trigger.Request()))
-        _wait_all(asked)
+        self._waiter.until(lambda: all(answer.done() for answer in asked), _ANSWER_S)
 
     def reset(self, all_devices: bool) -> None:
         """Resets the devices that we stopped.
@@ -154,9 +154,3 @@ class Devices:
 
 def _sentence(name: str, state: DeviceState) -> str:
     return f"{name}: {state.message or state.fault or 'it does not take orders'}"
-
-
-def _wait_all(answers: Iterable[object]) -> None:
-    deadline = time.monotonic() + _ANSWER_S
-    while time.monotonic() < deadline and not all(answer.done() for answer in answers):  # type: ignore[attr-defined]
-        time.sleep(0.01)

@@ -342,7 +342,9 @@ class Mission:
         except StepError as error:
             steps.record.folder.note(f"aborting: {error}")
             _log.error("aborting: %s", error)
-        steps.progress = steps.progress.switched(False)
-        self._restoring.salvage(self.failure)
-        steps.closing()
+        finally:
+            # Whatever it was, the bag has to be closed.
+            steps.progress = steps.progress.switched(False)
+            self._restoring.salvage(self.failure)
+            steps.closing()
         return Event.DONE

@@ -1,7 +1,6 @@
 """Whether arm and base move, and where they are: from joint states and odometry."""
 
 import math
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -16,6 +15,7 @@ from skinplan.transforms import Array, difference
 from skinplan_nodes.conversions import joint_state_from_msg, pose_from_msg, stamp_from_msg
 from skinplan_nodes.draining import subscribe_draining
 from skinplan_nodes.qos import STATE
+from skinplan_nodes.supervisor.waiting import Waiter
 
 # Slower than this is standing still: far above noise, far below any motion on purpose.
 _JOINT_RAD_S, _BASE_M_S, _BASE_RAD_S = 0.005, 0.003, 0.003
@@ -29,9 +29,11 @@ class Motion:
 
     Args:
         node: The supervisor.
+        waiter: Waits for what devices tell.
     """
 
-    def __init__(self, node: Node) -> None:
+    def __init__(self, node: Node, waiter: Waiter) -> None:
+        self._waiter = waiter
         self._joints: bytes | None = None
         self._odometry: bytes | None = None
         subscribe_draining(node, JointState, "joint_states", self._on_joints, STATE, raw=True)
@@ -66,7 +68,7 @@ class Motion:
         Args:
             stamp_s: Time [s]; waited for as long as a device may be silent.
         """
-        _await(lambda: self._joints, JointState, stamp_s)
+        self._await(lambda: self._joints, JointState, stamp_s)
         return self.joints()
 
     def base_since(self, stamp_s: float) -> Array | None:
@@ -77,7 +79,7 @@ class Motion:
         Args:
             stamp_s: Time [s]; waited for as long as a device may be silent.
         """
-        _await(lambda: self._odometry, Odometry, stamp_s)
+        self._await(lambda: self._odometry, Odometry, stamp_s)
         return self.base()
 
     def moving(self, timeout_s: float) -> str:
@@ -89,18 +91,23 @@ class Motion:
         Returns:
             What still moves, and how fast; empty = nothing, as far as they tell.
         """
-        deadline = time.monotonic() + timeout_s
-        while True:
-            found = self._arm_moving() or self._base_moving()
-            if not found or time.monotonic() > deadline:
-                return found
-            time.sleep(0.02)
+        found = ""
+
+        def stands() -> bool:
+            nonlocal found
+            seen = self._arm_moving() or self._base_moving()
+            # A look that the end of the program cuts short tells nothing new.
+            found = seen if seen or not self._waiter.is_over() else found
+            return not found
+
+        self._waiter.until(stands, timeout_s)
+        return found
 
     def _arm_moving(self) -> str:
         if self._joints is None:
             return ""
         before = self.joint_state()
-        later = _newer(before, self.joint_state)
+        later = self._newer(before, self.joint_state)
         if later is None:
             return ""
         try:
@@ -118,7 +125,7 @@ class Motion:
         if self._odometry is None:
             return ""
         before = newest()
-        later = _newer(before, newest)
+        later = self._newer(before, newest)
         if later is None:
             return ""
         try:
@@ -131,6 +138,24 @@ class Motion:
         if way / spent > _BASE_M_S or angle / spent > _BASE_RAD_S:
             return f"the base moves at {way / spent:.3f} m/s"
         return ""
+
+    def _await(self, newest: Callable[[], bytes | None], kind: Any, stamp_s: float) -> None:
+        def told() -> bool:
+            raw = newest()
+            return raw is None or _stamp_s(deserialize_message(raw, kind)) >= stamp_s
+
+        self._waiter.until(told, _SILENT_S)
+
+    def _newer(self, before: Any, newest: Callable[[], Any]) -> Any:
+        """Returns a message of a later time; None = none comes."""
+        found = before
+
+        def later() -> bool:
+            nonlocal found
+            found = newest()
+            return _between(before, found) > _APART_S
+
+        return found if self._waiter.until(later, _SILENT_S) else None
 
     def _on_joints(self, raw: bytes) -> None:
         self._joints = raw
@@ -146,25 +171,9 @@ def distance_m(first: Array | None, second: Array | None) -> float:
     return float(difference(first, second)[0])
 
 
-def _await(newest: Callable[[], bytes | None], kind: Any, stamp_s: float) -> None:
-    end = time.monotonic() + _SILENT_S
-    while time.monotonic() < end and (raw := newest()) is not None:
-        if stamp_from_msg(deserialize_message(raw, kind).header.stamp) >= stamp_s:
-            return
-        time.sleep(0.01)
-
-
 def _between(before: Any, later: Any) -> float:
-    return max(stamp_from_msg(later.header.stamp) - stamp_from_msg(before.header.stamp), 1e-6)
+    return _stamp_s(later) - _stamp_s(before)
 
 
-def _newer(before: Any, newest: Callable[[], Any]) -> Any:
-    """Returns a message of a later time; None = none comes."""
-    end = time.monotonic() + _SILENT_S
-    begin_s = stamp_from_msg(before.header.stamp)
-    while time.monotonic() < end:
-        found = newest()
-        if stamp_from_msg(found.header.stamp) - begin_s > _APART_S:
-            return found
-        time.sleep(0.01)
-    return None
+def _stamp_s(message: Any) -> float:
+    return stamp_from_msg(message.header.stamp)

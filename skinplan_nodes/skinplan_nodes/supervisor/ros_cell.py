@@ -87,7 +87,7 @@ class RosCell:
         )
         self._calls = Calls(node, self.waiter)
         self._devices = Devices(node, self.waiter, on_fault)
-        self._motion = Motion(node)
+        self._motion = Motion(node, self.waiter)
         self.recorder_error = ""
         self._T_odom_located: Array | None = None
         self.inspected = InspectionResult()
@@ -275,12 +275,13 @@ class RosCell:
 
         A node that has just started does not see the others yet: it would stop nobody.
         """
-        deadline = time.monotonic() + _MEET_S
-        while time.monotonic() < deadline:
+
+        def met() -> bool:
             served = all(client.server_is_ready() for client in self._actions.values())
-            if served and self._motion.joints() is not None and self._motion.base() is not None:
-                return
-            time.sleep(0.02)
+            known = self._motion.joints() is not None and self._motion.base() is not None
+            return served and known
+
+        self.waiter.until(met, _MEET_S)
 
     def halt(self, stop_devices: bool) -> None:
         """Stops arm and base, sees to it that nothing moves, and switches the scanner off.
@@ -297,13 +298,16 @@ class RosCell:
         ]
         if stop_devices:
             self._devices.stop()
-        _wait_shortly(answers)
+        self._wait_shortly(answers)
         try:
             self._see_to_standing(stop_devices)
         finally:
             if self._services[SetBool].service_is_ready():
                 off = self._services[SetBool].call_async(SetBool.Request(data=False))
-                _wait_shortly([off])
+                self._wait_shortly([off])
+
+    def _wait_shortly(self, answers: list[Any]) -> None:
+        self.waiter.until(lambda: all(answer.done() for answer in answers), _HALT_S)
 
     def _see_to_standing(self, stop_devices: bool) -> None:
         moving = self._motion.moving(self._values.stop_timeout_s)
@@ -336,9 +340,3 @@ _ACTIONS: dict[Any, str] = {
     LocalizePart: "localize_part",
     FollowJointTrajectory: "scaled_joint_trajectory_controller/follow_joint_trajectory",
 }
-
-
-def _wait_shortly(answers: list[Any]) -> None:
-    deadline = time.monotonic() + _HALT_S
-    while time.monotonic() < deadline and not all(answer.done() for answer in answers):
-        time.sleep(0.01)

@@ -12,7 +12,7 @@ from skinplan_msgs.msg import Status
 
 from skinplan_nodes.supervisor.control import JobControl, StepError
 
-_LOOK_S = 0.02
+_LOOK_S, _QUICK_LOOK_S = 0.02, 0.01
 # The cell's clock may stand still for so long of wall time: longer means that it is gone.
 _FROZEN_S = 15.0
 
@@ -46,6 +46,25 @@ class Waiter:
             end_s: From then on nothing is waited for, monotonic time [s].
         """
         self._end_s = end_s
+
+    def until(self, done: Callable[[], bool], timeout_s: float) -> bool:
+        """Waits on wall time until something is so; nothing breaks into it but the end.
+
+        Args:
+            done: Looks whether it is.
+            timeout_s: Longest wait [s].
+
+        Returns:
+            Whether it came to be.
+        """
+        deadline = time.monotonic() + timeout_s
+        while not (found := done()) and time.monotonic() < min(deadline, self._end_s):
+            time.sleep(_QUICK_LOOK_S)
+        return found
+
+    def is_over(self) -> bool:
+        """Whether nothing is waited for any more: this process ends."""
+        return time.monotonic() > self._end_s
 
     @contextmanager
     def undisturbed(self) -> Iterator[None]:
@@ -102,12 +121,9 @@ class Waiter:
             if asked and self._pid(node) not in (0, asked):
                 text = f"{what}: node {node} was started again meanwhile"
                 raise StepError(Status.NODE_LOST, text, node)
-            reason = "no answer when this program was ended" if self._is_over() else late()
+            reason = "no answer when this program was ended" if self.is_over() else late()
             if reason is not None:
                 raise StepError(Status.DEVICE_TIMEOUT, f"{what}: {reason}", node)
         if future.exception() is not None:
             raise StepError(Status.DEVICE_FAILED, f"{what}: {future.exception()}", node)
         return future.result()
-
-    def _is_over(self) -> bool:
-        return time.monotonic() > self._end_s
