@@ -76,6 +76,12 @@ class LeanExecutor(SingleThreadedExecutor):
             self._waiting.close()
             self._waiting = None
 
+    def _take_waitable(self, waitable: Any) -> Any:
+        # Destroyed by another thread or callback since it was ready, it is not run.
+        with suppress(InvalidHandle):
+            return super()._take_waitable(waitable)
+        return None
+
     def runner(self, entity: Any, node: Any, take: Any) -> Callable[[], None]:
         """Returns what runs an entity that is ready: as a task, which may wait for something."""
 
@@ -184,8 +190,13 @@ class _WaitList:
         ready_set.clear_entities()
         for add, handle in self._adds:
             add(ready_set, handle)
-        for waitable, _ in self._waitables:
-            waitable.add_to_wait_set(ready_set)
+        try:
+            for waitable, _ in self._waitables:
+                waitable.add_to_wait_set(ready_set)
+        except InvalidHandle:
+            # The events of what was destroyed since this list was made.
+            self.is_stale = True
+            return []
         # Shut before this list was made, it has no guard that would wake it.
         if not self._executor.is_shut:
             ready_set.wait(_FOREVER_NS)

@@ -116,6 +116,26 @@ def test_a_callback_may_destroy_what_is_ready_beside_it(spun: Spun) -> None:
     assert spun.ended_by is None
 
 
+def test_a_callback_may_destroy_a_subscription(spun: Spun) -> None:
+    """Its events are no longer waited for, either."""
+    ticks: list[int] = []
+    subscriptions = [
+        spun.node.create_subscription(Int32, "numbers", lambda _: None, 10) for _ in range(20)
+    ]
+    assert all(subscription.event_handlers for subscription in subscriptions)
+
+    def tick() -> None:
+        ticks.append(1)
+        if len(ticks) > 3 and subscriptions:
+            spun.node.destroy_subscription(subscriptions.pop())
+
+    spun.node.create_timer(0.002, tick)
+    spun.wait(lambda: not subscriptions or spun.ended_by)
+    count = len(ticks)
+    spun.wait(lambda: len(ticks) > count + 3 or spun.ended_by)
+    assert spun.ended_by is None
+
+
 def test_a_coroutine_that_waits_does_not_keep_the_others(spun: Spun) -> None:
     got: list[Any] = []
     future: Future[Any] = Future()
