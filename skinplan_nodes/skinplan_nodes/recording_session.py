@@ -3,7 +3,7 @@
 import threading
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -65,6 +65,16 @@ class RecordingOrder:
     snapshot_s: float = 0.0
 
 
+@dataclass(frozen=True)
+class _Subscribed:
+    """A topic that is recorded; `take_waiting` takes at most so many messages that wait."""
+
+    qos: QoSProfile
+    subscription: Any
+    publishers: int
+    take_waiting: Callable[[int], None]
+
+
 class RecordingSession:
     """Records topics of the graph into one bag.
 
@@ -92,7 +102,7 @@ class RecordingSession:
         if order.snapshot_bytes:
             self._ring = SnapshotRing(order.snapshot_bytes, order.snapshot_s)
         self._snapshots = 0
-        self._subscriptions: dict[str, tuple[QoSProfile, Any, int]] = {}
+        self._subscriptions: dict[str, _Subscribed] = {}
         self._gaps: dict[str, SequenceGaps] = {}
         self._refused: set[str] = set()
         self._searches = 0
@@ -145,7 +155,7 @@ class RecordingSession:
             if (
                 known is not None
                 and not thorough
-                and self._node.count_publishers(topic) == known[2]
+                and self._node.count_publishers(topic) == known.publishers
             ):
                 continue
             publishers = self._node.get_publishers_info_by_topic(topic)
@@ -153,7 +163,7 @@ class RecordingSession:
                 continue
             self._gaps.setdefault(topic, SequenceGaps()).note_publishers(len(publishers))
             wanted = matching_qos(publishers)
-            if known is not None and (known[0], known[2]) == (wanted, len(publishers)):
+            if known is not None and (known.qos, known.publishers) == (wanted, len(publishers)):
                 continue
             try:
                 with self._subscribing:
@@ -207,8 +217,8 @@ class RecordingSession:
         """
         with self._subscribing:
             self._over = True
-            for _, subscription, _ in self._subscriptions.values():
-                self._node.destroy_subscription(subscription)
+            for known in self._subscriptions.values():
+                self._end(known)
         self._ack.idle()
         self._queue.finish()
         self.dropped_topics = self._missing()
@@ -243,19 +253,17 @@ class RecordingSession:
         if self._ring is not None and any(profile.latched for profile in offered):
             self._ring.latch(topic)
         known = self._subscriptions.get(topic)
-        if known is not None and known[0] == qos:
+        if known is not None and known.qos == qos:
             # Another publisher of the same kind: the subscription serves it, too.
-            self._subscriptions[topic] = (qos, known[1], len(publishers))
+            self._subscriptions[topic] = replace(known, publishers=len(publishers))
             return
         if known is not None:
-            self._node.destroy_subscription(known[1])
+            self._end(known)
         subscription: Any = None
         take = self._taker(topic)
 
-        def take_all(data: bytes, info: Any) -> None:
-            take(data, info)
-            # What waits behind it, without the executor's round for each message.
-            for _ in range(_MOST_AT_ONCE):
+        def take_waiting(most: int) -> None:
+            for _ in range(most):
                 try:
                     with subscription.handle:
                         found = subscription.handle.take_message(kind, True)
@@ -265,10 +273,20 @@ class RecordingSession:
                     return
                 take(*found)
 
+        def take_all(data: bytes, info: Any) -> None:
+            take(data, info)
+            # What waits behind it, without the executor's round for each message.
+            take_waiting(_MOST_AT_ONCE)
+
         subscription = self._node.create_subscription(
             kind, topic, take_all, qos, raw=True, callback_group=self._group
         )
-        self._subscriptions[topic] = (qos, subscription, len(publishers))
+        self._subscriptions[topic] = _Subscribed(qos, subscription, len(publishers), take_waiting)
+
+    def _end(self, known: _Subscribed) -> None:
+        """Ends a subscription; what has come, and its sender was told so, is taken before."""
+        known.take_waiting(_DEPTH)
+        self._node.destroy_subscription(known.subscription)
 
     def _taker(self, topic: str) -> Callable[[bytes, Any], None]:
         clock = self._node.get_clock()

@@ -167,6 +167,30 @@ def test_sigterm_closes_the_bag(bench: Bench, tmp_path: Path) -> None:
     assert texts(tmp_path / "bag", "/said") == ["last words"]
 
 
+def test_what_has_come_before_the_end_is_recorded(bench: Bench, tmp_path: Path) -> None:
+    """The executor has not had its turn: a busy machine, or a long callback before the end."""
+    ack = TimeAck(bench.tester)
+    order = RecordingOrder(tmp_path / "bag", {}, 1_000_000)
+    publisher = bench.tester.create_publisher(String, "said", STATE)
+    held, ends = threading.Event(), threading.Event()
+    bench.tester.create_subscription(
+        String, "hold", lambda _: (held.set(), ends.wait(TIMEOUT_S)), STATE
+    )
+    hold = bench.tester.create_publisher(String, "hold", STATE)
+    session = RecordingSession(bench.tester, order, ReentrantCallbackGroup(), ack)
+    session.discover()
+    bench._executor.wake()
+    bench.wait(lambda: publisher.get_subscription_count() == 1)
+    bench.wait(lambda: hold.get_subscription_count() == 2)
+    hold.publish(String(data="no callback is called any more"))
+    assert held.wait(TIMEOUT_S)
+    publisher.publish(String(data="last words"))
+    bench.wait(lambda: publisher.wait_for_all_acked())
+    session.finish()
+    ends.set()
+    assert texts(tmp_path / "bag", "/said") == ["last words"]
+
+
 def test_the_end_does_not_meet_the_search_for_topics(bench: Bench, tmp_path: Path) -> None:
     """The end comes from the main thread at SIGTERM, topics are found in the executor's."""
     ack = TimeAck(bench.tester)
