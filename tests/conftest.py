@@ -1,13 +1,13 @@
 """Of all test rooms: an own ROS domain per test process, the shared data, the run without ROS."""
 
-import fcntl
 import os
 import sys
-import tempfile
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 
 import pytest
+
+from ros_domains import own_domain
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -22,29 +22,9 @@ ROS_PACKAGES = (
 )
 
 
-def _claim_domain() -> tuple[int, object]:
-    """Claim a ROS domain that no other test process on this machine has.
-
-    Above 101 the ports of a domain may collide with those that the system hands out to anybody.
-    """
-    folder = Path(tempfile.gettempdir()) / f"skinplan-test-domains-{os.getuid()}"
-    folder.mkdir(exist_ok=True)
-    first = os.getpid()
-    for offset in range(62):
-        domain = 40 + (first + offset) % 62
-        handle = (folder / str(domain)).open("w")
-        try:
-            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            handle.close()
-            continue
-        return domain, handle
-    raise RuntimeError("all 62 ROS domains for tests are taken: are test processes left over?")
-
-
 # Overrides what the shell says: a developer's domain may have a real robot in it.
-_DOMAIN, _DOMAIN_LOCK = _claim_domain()
-os.environ["ROS_DOMAIN_ID"] = str(_DOMAIN)
+_DOMAIN = own_domain()
+_DOMAIN.__enter__()
 os.environ["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "LOCALHOST"
 for _name in ("ROS_STATIC_PEERS", "ROS_LOCALHOST_ONLY", "ROS_DISCOVERY_SERVER", "ROS_NAMESPACE"):
     os.environ.pop(_name, None)

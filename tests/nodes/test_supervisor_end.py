@@ -2,7 +2,6 @@
 
 import threading
 import time
-from collections.abc import Iterator
 from types import SimpleNamespace
 
 import pytest
@@ -29,16 +28,8 @@ TIMEOUTS = SimpleNamespace(
 )
 
 
-@pytest.fixture
-def bench() -> Iterator[Bench]:
-    found = Bench()
-    yield found
-    found.close()
-    assert not found.failures
-
-
-def keeps_moving(bench: Bench) -> None:
-    """Publishes an arm and a base that no stop brings to rest."""
+def keeps_moving(bench: Bench) -> list[int]:
+    """Publishes an arm and a base that no stop brings to rest; returns a count of the messages."""
     joints = bench.tester.create_publisher(JointState, "joint_states", STATE)
     odometry = bench.tester.create_publisher(Odometry, "odom", STATE)
     ticks = [0]
@@ -57,10 +48,11 @@ def keeps_moving(bench: Bench) -> None:
         odometry.publish(place)
 
     bench.tester.create_timer(0.02, tick)
+    return ticks
 
 
 def test_an_arm_that_moves_on_does_not_hold_up_the_end(bench: Bench) -> None:
-    keeps_moving(bench)
+    ticks = keeps_moving(bench)
     cell = RosCell(bench.tester, TIMEOUTS, NodeWatch(()))
     bench.wait(lambda: cell.arm_joints() is not None)
     failed: list[StepError] = []
@@ -73,7 +65,8 @@ def test_an_arm_that_moves_on_does_not_hold_up_the_end(bench: Bench) -> None:
 
     job_thread = threading.Thread(target=halt, daemon=True)
     job_thread.start()
-    job_thread.join(0.5)
+    looked = ticks[0] + 100
+    bench.wait(lambda: ticks[0] > looked)
     assert job_thread.is_alive(), "it waits until the arm stands"
     cell.waiter.end_by(time.monotonic())
     job_thread.join(TIMEOUT_S)
