@@ -26,13 +26,15 @@ lint: setup ## style, format, types, wall between library and ROS
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-# The unit tests run once, one process per core, in which neither rclpy nor any message package can be imported. Everything runs
+# The unit tests run once, one process per core, in which neither rclpy nor any message package can be imported. Tests of nodes run in
+# two processes, each test in a ROS domain of its own; those of the whole graph one after the other. Everything runs
 # even if something before it failed, and pytest has the last word. Properties get the same examples each time; new ones in `make test-long`.
 test: setup ## all checks but the long ones
 	@status=0; \
 	$(MAKE) --no-print-directory lint || status=1; \
 	$(PYTEST) tests/unit --without-ros -m "not long" -n auto --dist worksteal --hypothesis-profile=ci || status=1; \
-	$(PYTEST) tests/conversions tests/nodes tests/system -m "not long" || status=1; \
+	$(PYTEST) tests/conversions tests/nodes -m "not long" -n 2 --dist loadfile || status=1; \
+	$(PYTEST) tests/system -m "not long" || status=1; \
 	exit $$status
 
 test-long: setup ## the long checks
