@@ -27,6 +27,7 @@ from rosbags.highlevel import AnyReader
 from skinplan_msgs.msg import JobStatus, Status
 from skinplan_msgs.srv import JobCommand
 
+from ros_domains import own_domain
 from skinplan.part.files import load_part, save_part
 from skinplan.part.model import Part
 from skinplan.part.recognition_plan import RecognitionPlan
@@ -387,7 +388,7 @@ def main() -> None:
         given.faults = [fault for fault in given.faults if fault != FULL_DISK]
     os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
     done = written(given.out) if given.out.is_file() else set()
-    with given.out.open("a", encoding="utf-8") as table:
+    with own_domain(), given.out.open("a", encoding="utf-8") as table:
         if not done:
             table.write(HEAD + "\n")
         for seed in given.seeds:
