@@ -17,7 +17,7 @@ import sys
 import tempfile
 import time
 from collections import defaultdict, deque
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -31,6 +31,7 @@ from ros_domains import own_domain
 from skinplan.part.files import load_part, save_part
 from skinplan.part.model import Part
 from skinplan.part.recognition_plan import RecognitionPlan
+from skinplan.recording.heal import is_finished
 from skinplan_nodes.graph import GraphSettings, describe
 from system.served_cell import ServedCell
 
@@ -94,6 +95,8 @@ BOUND_S = 240.0
 CLEAN_JOBS = 2
 #: How long the operator looks before he says RESUME [s of wall time].
 LOOKS_S = 0.5
+#: A bag that its recorder did not close is healed so long after the job's end [s of wall time].
+HEALED_S = 15.0
 FACTOR = "16"
 PATIENCE = {"operator_timeout_s": 60.0, "recovery_timeout_s": 40.0}
 
@@ -277,8 +280,14 @@ def row(
     )
 
 
-def messages_in(bags: Iterable[Path]) -> int:
-    """Counts the messages of all parts of a bag, with a foreign reader; -1 = not all readable."""
+def messages_in(bags: Sequence[Path]) -> int:
+    """Counts the messages of all parts of a bag, with a foreign reader; -1 = not all readable.
+
+    A recorder that was killed heals, beside other work, what it left; it gets some time for that.
+    """
+    deadline = time.monotonic() + HEALED_S
+    while time.monotonic() < deadline and not all(is_finished(bag) for bag in bags):
+        time.sleep(0.1)
     count = 0
     for bag in bags:
         try:
