@@ -53,7 +53,11 @@ class Calls:
         """
         what = f"service {client.srv_name}"
         self._wait_server(client.service_is_ready, what, node)
-        response = self._waiter.wall(client.call_async(request), timeout_s, what, node)
+        name = client.srv_name
+        sent = client.call_async(request)
+        response = self._waiter.wall(
+            sent, timeout_s, what, node, lambda: self._node.count_services(name)
+        )
         status = getattr(response, "status", None)
         if status is not None and status.code not in accepted:
             raise StepError(status.code, _text(status), node)

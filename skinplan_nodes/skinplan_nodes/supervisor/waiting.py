@@ -75,7 +75,14 @@ class Waiter:
         finally:
             self.control = control
 
-    def wall(self, future: Future, timeout_s: float, what: str, node: str) -> Any:
+    def wall(
+        self,
+        future: Future,
+        timeout_s: float,
+        what: str,
+        node: str,
+        servers: Callable[[], int] = lambda: 1,
+    ) -> Any:
         """Waits on wall time.
 
         Args:
@@ -83,6 +90,7 @@ class Waiter:
             timeout_s: Longest wait [s].
             what: What was asked, for the message.
             node: Who was asked.
+            servers: Counts who serves it.
 
         Raises:
             InterruptError: Something breaks into it.
@@ -93,7 +101,7 @@ class Waiter:
         def late() -> str | None:
             return f"no answer within {timeout_s:g} s" if time.monotonic() > deadline else None
 
-        return self._wait(future, late, what, node)
+        return self._wait(future, late, what, node, _Newcomers(servers))
 
     def cell(self, future: Future, timeout_s: float, what: str, node: str) -> Any:
         """Waits on the cell's time, which may be faster than wall time; else as `wall`."""
@@ -110,7 +118,14 @@ class Waiter:
 
         return self._wait(future, late, what, node)
 
-    def _wait(self, future: Future, late: Callable[[], str | None], what: str, node: str) -> Any:
+    def _wait(
+        self,
+        future: Future,
+        late: Callable[[], str | None],
+        what: str,
+        node: str,
+        newcomers: "_Newcomers | None" = None,
+    ) -> Any:
         done = threading.Event()
         future.add_done_callback(lambda _: done.set())
         asked = self._pid(node)
@@ -118,7 +133,8 @@ class Waiter:
             self.control.check()
             if self._is_lost(node):
                 raise StepError(Status.NODE_LOST, f"{what}: node {node} was lost", node)
-            if asked and self._pid(node) not in (0, asked):
+            another = newcomers is not None and newcomers.look()
+            if another or (asked and self._pid(node) not in (0, asked)):
                 text = f"{what}: node {node} was started again meanwhile"
                 raise StepError(Status.NODE_LOST, text, node)
             reason = "no answer when this program was ended" if self.is_over() else late()
@@ -127,3 +143,24 @@ class Waiter:
         if future.exception() is not None:
             raise StepError(Status.DEVICE_FAILED, f"{what}: {future.exception()}", node)
         return future.result()
+
+
+class _Newcomers:
+    """Sees a server that came after the question: it was not asked.
+
+    A node that was started again is heard before its services are found, and those of the process
+    before it, which was killed, seem to be there for 20 s: they get the question.
+    """
+
+    def __init__(self, servers: Callable[[], int]) -> None:
+        self._servers = servers
+        # Nothing is known before the first one is seen: what can be asked is there.
+        self._known: int | None = None
+        self.look()
+
+    def look(self) -> bool:
+        """Whether there are more servers than at the last look."""
+        known, found = self._known, self._servers()
+        if known is not None or found:
+            self._known = found
+        return known is not None and found > known
