@@ -196,6 +196,8 @@ class Mission:
         nothing_begun = state is State.STARTING and error.code in ENDS_A_START
         if state in (State.CLOSING, State.ABORTING):
             self._steps.record.folder.note(f"{state.value}: {error}")
+            # Whatever it was, the bag does not stay open.
+            self.close_bag()
             return Event.FAILED
         if state in INTERRUPTED or nothing_begun or answer is Answer.FATAL or self._steps.stopped:
             self.failure = error
@@ -342,9 +344,7 @@ class Mission:
         except StepError as error:
             steps.record.folder.note(f"aborting: {error}")
             _log.error("aborting: %s", error)
-        finally:
-            # Whatever it was, the bag has to be closed.
-            steps.progress = steps.progress.switched(False)
-            self._restoring.salvage(self.failure)
-            steps.closing()
+        steps.progress = steps.progress.switched(False)
+        self._restoring.salvage(self.failure)
+        steps.closing()
         return Event.DONE
